@@ -1,0 +1,108 @@
+/* The container that all our files share; docs/format/container.md is normative. */
+#ifndef FMT_CONTAINER_H
+#define FMT_CONTAINER_H
+
+#include "fmt_file.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define FMT_FOURCC(a, b, c, d) ((uint32_t)(uint8_t)(a) | (uint32_t)(uint8_t)(b) << 8 | (uint32_t)(uint8_t)(c) << 16 | (uint32_t)(uint8_t)(d) << 24)
+
+typedef enum fmt_kind {
+    FMT_KIND_SVO = FMT_FOURCC('S', 'V', 'O', ' '),
+    FMT_KIND_SVDAG = FMT_FOURCC('S', 'V', 'D', 'G'),
+    FMT_KIND_SKEL = FMT_FOURCC('S', 'K', 'E', 'L'),
+    FMT_KIND_SCENE = FMT_FOURCC('S', 'C', 'N', 'E')
+} fmt_kind;
+
+enum {
+    FMT_CHUNK_CRITICAL = 1,     /* a reader that does not know the type must refuse the file */
+    FMT_CODEC_NONE = 0,
+    FMT_CODEC_ZSTD = 1
+};
+
+/* One chunk as its header and the table describe it. */
+typedef struct fmt_chunk {
+    uint32_t type;
+    uint16_t flags, codec;
+    uint64_t offset;       /* of the payload in the file, 64-byte aligned */
+    uint64_t stored_size;  /* bytes in the file */
+    uint64_t decoded_size; /* after the codec */
+    uint64_t element_count;
+    uint32_t element_stride;
+    uint64_t id;   /* meaning depends on type: Morton code, level, channel ... */
+    uint64_t hash; /* XXH3-64 of the stored bytes */
+} fmt_chunk;
+
+/* Four printable characters and a NUL. */
+void fmt_fourcc_text(uint32_t type, char out[5]);
+
+/* --- writing: strictly sequential, so pipes get the same bytes as files --- */
+typedef struct fmt_writer fmt_writer;
+svo_result fmt_writer_begin(fmt_output *out, fmt_kind kind, uint16_t major, uint16_t minor, fmt_writer **writer, svo_error *err);
+/* Fills offset and hash of *chunk and writes header and payload. `stored` are the bytes as they go into the file,
+ * already compressed if codec says so. type, flags, codec, stored_size, decoded_size, element_*, id are the caller's. */
+svo_result fmt_writer_chunk(fmt_writer *w, fmt_chunk *chunk, const void *stored, svo_error *err);
+/* Table and footer. The output itself is committed by the caller. Frees the writer in any case. */
+svo_result fmt_writer_end(fmt_writer *w, svo_error *err);
+void fmt_writer_discard(fmt_writer *w);
+
+/* --- reading a mapped file --- */
+typedef struct fmt_container {
+    const uint8_t *data;
+    uint64_t size;
+    fmt_kind kind;
+    uint16_t major, minor;
+    uint32_t chunk_count;
+    fmt_chunk *chunks; /* in file order */
+    const svo_allocator *allocator;
+    uint8_t content_hash[16];
+} fmt_container;
+/* Checks header, footer, table, every chunk header against the table, alignment, overlap, gaps. Payload hashes are
+ * checked by fmt_container_payload. `data` must stay alive and be 64-byte aligned. */
+svo_result fmt_container_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_container *out, svo_error *err);
+void fmt_container_close(fmt_container *c);
+/* First chunk of a type (and id, if any_id is false), NULL if none. */
+const fmt_chunk *fmt_container_find(const fmt_container *c, uint32_t type, bool any_id, uint64_t id);
+/* Checks the hash of a stored chunk (codec NONE) and returns its bytes in place; SVO_INVALID_DATA on a mismatch. */
+svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err);
+
+/* --- reading a stream (a pipe, or a file too large to map) --- */
+typedef struct fmt_stream fmt_stream;
+svo_result fmt_stream_open(fmt_input *in, const svo_allocator *a, fmt_stream **out, fmt_kind *kind, uint16_t *major, svo_error *err);
+/* Next chunk header; *more false after the table and footer have been read and agree with what was seen. */
+svo_result fmt_stream_next(fmt_stream *s, fmt_chunk *chunk, bool *more, svo_error *err);
+/* Its payload (exactly once after next, or it is skipped but still hashed); hash checked; replaces *to. The size is
+ * believed only as far as bytes really arrive. */
+svo_result fmt_stream_payload(fmt_stream *s, const fmt_chunk *chunk, svo_buffer *to, svo_error *err);
+void fmt_stream_close(fmt_stream *s);
+
+/* zstd, for chunk payloads. Decoding demands exactly decoded_size bytes and never allocates more. Encoding is
+ * deterministic for a level. */
+svo_result fmt_zstd_encode(const void *bytes, size_t size, int level, svo_buffer *to, svo_error *err);
+svo_result fmt_zstd_decode(const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err);
+
+/* Explicit little-endian loads and stores. */
+static inline uint16_t fmt_load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }
+static inline uint32_t fmt_load32(const uint8_t *p) { return (uint32_t)fmt_load16(p) | (uint32_t)fmt_load16(p + 2) << 16; }
+static inline uint64_t fmt_load64(const uint8_t *p) { return (uint64_t)fmt_load32(p) | (uint64_t)fmt_load32(p + 4) << 32; }
+static inline void fmt_store16(uint8_t *p, uint16_t v) { p[0] = (uint8_t)v; p[1] = (uint8_t)(v >> 8); }
+static inline void fmt_store32(uint8_t *p, uint32_t v) { fmt_store16(p, (uint16_t)v); fmt_store16(p + 2, (uint16_t)(v >> 16)); }
+static inline void fmt_store64(uint8_t *p, uint64_t v) { fmt_store32(p, (uint32_t)v); fmt_store32(p + 4, (uint32_t)(v >> 32)); }
+
+/* A bounds-checked cursor with a sticky `ok`: after a failed load everything reads as 0. */
+typedef struct fmt_cursor { const uint8_t *data; uint64_t size, at; bool ok; } fmt_cursor;
+static inline fmt_cursor fmt_cursor_make(const void *data, uint64_t size) { fmt_cursor c = {(const uint8_t *)data, size, 0, true}; return c; }
+const uint8_t *fmt_cursor_take(fmt_cursor *c, uint64_t size); /* NULL when it does not fit */
+uint8_t fmt_cursor_u8(fmt_cursor *c);
+uint16_t fmt_cursor_u16(fmt_cursor *c);
+uint32_t fmt_cursor_u32(fmt_cursor *c);
+uint64_t fmt_cursor_u64(fmt_cursor *c);
+double fmt_cursor_f64(fmt_cursor *c);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

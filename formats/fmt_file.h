@@ -1,0 +1,54 @@
+/* Files as the tools use them: read by mapping or streaming, written beside and renamed. "-" is stdin or stdout. */
+#ifndef FMT_FILE_H
+#define FMT_FILE_H
+
+#include "svo_alloc.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* An output. Nothing appears under `path` before fmt_output_commit; where the file system can (O_TMPFILE), nothing
+ * appears anywhere, so that even kill -9 leaves no trace. Otherwise a temporary file beside the target is used.
+ * Writing is sequential and buffered; the offset is tracked for all sinks, pipes too. */
+typedef struct fmt_output fmt_output;
+
+/* Fails with SVO_IO when the directory is missing or not writable, or when `path` exists and !force (checked here and
+ * again at commit); SVO_INVALID_ARGUMENT when `path` is "-" and stdout is a terminal. */
+svo_result fmt_output_open(const char *path, bool force, fmt_output **out, svo_error *err);
+svo_result fmt_output_write(fmt_output *o, const void *bytes, size_t size, svo_error *err);
+/* Write zero bytes up to a multiple of `align`. */
+svo_result fmt_output_align(fmt_output *o, uint32_t align, svo_error *err);
+uint64_t fmt_output_offset(const fmt_output *o);
+/* Flush, give the file its name (replacing an old one only when force was given), close and free. On failure the
+ * target is as it was before. */
+svo_result fmt_output_commit(fmt_output *o, svo_error *err);
+/* Throw away and free; NULL is fine. */
+void fmt_output_discard(fmt_output *o);
+
+/* A whole file, mapped read-only where it is a regular file, else read into memory (at most max_bytes, 0 = no limit;
+ * more is SVO_LIMIT). 64-byte aligned. An empty file gives size 0. */
+typedef struct fmt_bytes {
+    const uint8_t *data;
+    uint64_t size;
+    bool mapped;
+    const svo_allocator *allocator;
+} fmt_bytes;
+svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_allocator *a, fmt_bytes *out, svo_error *err);
+void fmt_bytes_close(fmt_bytes *b);
+
+/* A sequential input for streams that may be larger than memory. */
+typedef struct fmt_input fmt_input;
+svo_result fmt_input_open(const char *path, fmt_input **out, svo_error *err);
+/* Read up to size bytes; *got < size only at the end. */
+svo_result fmt_input_read(fmt_input *in, void *to, size_t size, size_t *got, svo_error *err);
+uint64_t fmt_input_offset(const fmt_input *in);
+void fmt_input_close(fmt_input *in);
+
+/* 16-byte XXH3-128 of bytes, as 32 lower-case hex digits and a NUL. */
+void fmt_hash_hex(const void *bytes, uint64_t size, char out[33]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

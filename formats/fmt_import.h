@@ -1,0 +1,29 @@
+/* Mesh import: files of other people's formats into svo_mesh. */
+#ifndef FMT_IMPORT_H
+#define FMT_IMPORT_H
+
+#include "svo_mesh.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct fmt_import_options {
+    const svo_allocator *allocator; /* NULL = default */
+    uint64_t max_file_bytes;        /* a file (also one referred to); 0 = 16 GiB */
+    uint64_t max_image_pixels;      /* 0 = 2^28 */
+    bool skip_images;               /* do not decode textures (geometry only) */
+    svo_warnings *warnings;         /* may be NULL */
+} fmt_import_options;
+
+/* Format by content first, then by extension: .gltf .glb .obj .ply .stl .off .drc. Unknown = SVO_UNSUPPORTED; a file
+ * that breaks its format's rules in a way that would give a wrong mesh = SVO_INVALID_DATA; a missing file = SVO_IO.
+ * A mesh without triangles is not an error (it warns). What is ignored (skins, morph targets, animations,
+ * textures that are missing ...) is named in a warning. A required glTF extension that is not supported is
+ * SVO_UNSUPPORTED. Files referred to are looked for beside `path` only; paths that leave that folder are refused. */
+svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, svo_mesh *out, svo_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,155 @@
+#include "svo_channel.h"
+
+#include <math.h>
+#include <string.h>
+
+uint32_t svo_channel_stride(uint32_t kind)
+{
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: return 3;
+    case SVO_KIND_NORMAL_OCT32: return 4;
+    case SVO_KIND_UNORM8: return 1;
+    case SVO_KIND_ID16: return 2;
+    case SVO_KIND_ID32: return 4;
+    }
+    return 0;
+}
+
+/* The 256 decoded values and the 255 thresholds between neighbours (midpoints in sRGB space, in linear light), so
+ * that encoding needs no transcendental function and is the same on every machine. Generated from the definition:
+ * c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055)^2.4, rounded to float. */
+#include "svo_srgb_table.inc"
+
+float svo_srgb_to_linear(uint8_t v) { return svoi_srgb_linear[v]; }
+
+uint8_t svo_linear_to_srgb(float v)
+{
+    if (!(v > 0)) return 0; /* NaN too */
+    uint32_t low = 0, high = 255; /* the answer: number of thresholds that are <= v */
+    while (low < high) {
+        uint32_t mid = (low + high) / 2;
+        if (svoi_srgb_threshold[mid] <= v) low = mid + 1;
+        else high = mid;
+    }
+    return (uint8_t)low;
+}
+
+static int16_t load16(const uint8_t *p) { return (int16_t)(uint16_t)(p[0] | p[1] << 8); }
+
+static void oct_decode(int x, int y, double n[3])
+{
+    double u = x / 32767.0, v = y / 32767.0;
+    if (u < -1) u = -1;
+    if (v < -1) v = -1;
+    double z = 1 - fabs(u) - fabs(v);
+    if (z < 0) {
+        double a = (1 - fabs(v)) * (u < 0 ? -1 : 1), b = (1 - fabs(u)) * (v < 0 ? -1 : 1);
+        u = a, v = b;
+    }
+    double k = 1 / sqrt(u * u + v * v + z * z);
+    n[0] = u * k, n[1] = v * k, n[2] = z * k;
+}
+
+void svo_oct32_decode(const uint8_t in[4], float n[3])
+{
+    double d[3];
+    oct_decode(load16(in), load16(in + 2), d);
+    for (int i = 0; i < 3; i++) n[i] = (float)d[i];
+}
+
+void svo_oct32_encode(const float n[3], uint8_t out[4])
+{
+    double x = n[0], y = n[1], z = n[2];
+    double l1 = fabs(x) + fabs(y) + fabs(z);
+    int best_u = 0, best_v = 0;
+    if (l1 > 0 && isfinite(l1)) {
+        double u = x / l1, v = y / l1;
+        if (z < 0) {
+            double a = (1 - fabs(v)) * (u < 0 ? -1 : 1), b = (1 - fabs(u)) * (v < 0 ? -1 : 1);
+            u = a, v = b;
+        }
+        int fu = (int)floor(u * 32767), fv = (int)floor(v * 32767);
+        double best = -INFINITY;
+        for (int i = 0; i < 4; i++) {
+            int cu = fu + (i & 1), cv = fv + (i >> 1);
+            if (cu < -32767 || cu > 32767 || cv < -32767 || cv > 32767) continue;
+            double d[3];
+            oct_decode(cu, cv, d);
+            double dot = d[0] * x + d[1] * y + d[2] * z;
+            if (dot > best) best = dot, best_u = cu, best_v = cv;
+        }
+    }
+    uint16_t a = (uint16_t)(int16_t)best_u, b = (uint16_t)(int16_t)best_v;
+    out[0] = (uint8_t)a, out[1] = (uint8_t)(a >> 8), out[2] = (uint8_t)b, out[3] = (uint8_t)(b >> 8);
+}
+
+static uint64_t load_id(svo_channel_kind kind, const uint8_t *v)
+{
+    uint64_t id = (uint64_t)v[0] | (uint64_t)v[1] << 8;
+    if (kind == SVO_KIND_ID32) id |= (uint64_t)v[2] << 16 | (uint64_t)v[3] << 24;
+    return id;
+}
+
+void svo_average_add(svo_average *a, svo_channel_kind kind, const uint8_t *value, double weight)
+{
+    if (!(weight > 0)) return;
+    a->weight += weight;
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8:
+        for (int i = 0; i < 3; i++) a->sum[i] += weight * svo_srgb_to_linear(value[i]);
+        break;
+    case SVO_KIND_NORMAL_OCT32: {
+        double n[3];
+        oct_decode(load16(value), load16(value + 2), n);
+        for (int i = 0; i < 3; i++) a->sum[i] += weight * n[i];
+        break;
+    }
+    case SVO_KIND_UNORM8: a->sum[0] += weight * value[0]; break;
+    case SVO_KIND_ID16:
+    case SVO_KIND_ID32: {
+        uint64_t id = load_id(kind, value);
+        int slot = -1, lightest = 0;
+        for (int i = 0; i < 8; i++) {
+            if (a->id_weight[i] > 0 && a->id[i] == id) slot = i;
+            if (a->id_weight[i] < a->id_weight[lightest]) lightest = i;
+        }
+        if (slot < 0) {
+            slot = lightest;
+            a->id[slot] = id;
+            a->id_weight[slot] = 0;
+        }
+        a->id_weight[slot] += weight;
+        break;
+    }
+    }
+}
+
+void svo_average_get(const svo_average *a, svo_channel_kind kind, const uint8_t *fallback, uint8_t *out)
+{
+    uint32_t stride = svo_channel_stride(kind);
+    memmove(out, fallback, stride);
+    if (!(a->weight > 0)) return;
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8:
+        for (int i = 0; i < 3; i++) out[i] = svo_linear_to_srgb((float)(a->sum[i] / a->weight));
+        break;
+    case SVO_KIND_NORMAL_OCT32: {
+        double l = sqrt(a->sum[0] * a->sum[0] + a->sum[1] * a->sum[1] + a->sum[2] * a->sum[2]);
+        if (!(l > 1e-6 * a->weight)) return;
+        float n[3] = {(float)(a->sum[0] / l), (float)(a->sum[1] / l), (float)(a->sum[2] / l)};
+        svo_oct32_encode(n, out);
+        break;
+    }
+    case SVO_KIND_UNORM8: out[0] = (uint8_t)(a->sum[0] / a->weight + 0.5); break;
+    case SVO_KIND_ID16:
+    case SVO_KIND_ID32: {
+        int best = 0;
+        for (int i = 1; i < 8; i++)
+            if (a->id_weight[i] > a->id_weight[best] ||
+                (a->id_weight[i] == a->id_weight[best] && a->id_weight[i] > 0 && a->id[i] < a->id[best]))
+                best = i;
+        for (uint32_t i = 0; i < stride; i++) out[i] = (uint8_t)(a->id[best] >> 8 * i);
+        break;
+    }
+    }
+}

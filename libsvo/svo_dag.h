@@ -1,0 +1,61 @@
+/* Chunks of voxels to a packed octree: hash-consed geometry, decoupled and compressed attributes. */
+#ifndef SVO_DAG_H
+#define SVO_DAG_H
+
+#include "svo_view.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* How values of a channel are reduced. bits == 0: lossless. Colours: a table of 2^bits entries clustered in CIELAB
+ * (seed 2.4.3); normals: octahedral with bits in all. Other kinds are always lossless. */
+typedef struct svo_dag_options {
+    bool lod;            /* give inner nodes the averages of what is below */
+    uint32_t color_bits; /* 0 or 1..16 */
+    uint32_t normal_bits; /* 0 or 4..32 (even) */
+    uint32_t threads;    /* 0 = all */
+    uint64_t memory;     /* 0 = no limit; more is SVO_LIMIT */
+    const svo_allocator *allocator;
+    svo_warnings *warnings;
+} svo_dag_options;
+svo_dag_options svo_default_dag_options(void); /* lod, lossless */
+
+typedef struct svo_dag_channel_report {
+    char name[16];
+    uint64_t bytes, distinct_in, distinct_out;
+    double error_mean, error_max; /* delta E CIE94 for colours, degrees for normals, value units else; over all attributes */
+    bool left_out;                /* turned out constant and stored once */
+} svo_dag_channel_report;
+
+typedef struct svo_dag_report {
+    svo_tree_counts counts;          /* of the octree */
+    uint64_t unique[SVO_MAX_DEPTH + 1]; /* distinct nodes a level, down to the bricks' level */
+    uint64_t geometry_bytes, attribute_bytes, attributes;
+    uint32_t channel_count;
+    svo_dag_channel_report channels[SVO_MAX_CHANNELS];
+    uint64_t peak_bytes;
+    double seconds_read, seconds_geometry, seconds_attributes;
+} svo_dag_report;
+
+/* A packed octree in memory; `view` points into it. */
+typedef struct svo_packed svo_packed;
+const svo_view *svo_packed_view(const svo_packed *p);
+void svo_packed_free(svo_packed *p);
+
+/* Builder as a sink for chunks (for instance straight from svo_voxelize). */
+typedef struct svo_dag_builder svo_dag_builder;
+svo_result svo_dag_builder_create(const svo_tree_info *info, const svo_dag_options *options, svo_dag_builder **out, svo_error *err);
+svo_chunk_sink svo_dag_builder_sink(svo_dag_builder *b);
+/* Ends the build; frees the builder, also on failure. report may be NULL. */
+svo_result svo_dag_builder_finish(svo_dag_builder *b, svo_packed **out, svo_dag_report *report, svo_error *err);
+void svo_dag_builder_free(svo_dag_builder *b);
+
+/* The same from a source of chunks, reading and decoding on all threads. */
+svo_result svo_dag_build(const svo_tree_info *info, const svo_chunk_source *source, const svo_dag_options *options,
+                         svo_packed **out, svo_dag_report *report, svo_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,147 @@
+/* A packed octree as it lies in memory or in a mapped .svdag: read-only, traversed in place.
+ *
+ * Geometry, layout 1 ("plain"). Let T = max(depth, 2). Levels 0 .. T-3 are arrays of 32-bit words holding nodes; level
+ * T-2 is an array of 64-bit bricks, each a 4x4x4 block of finest voxels whose bit 8a+b is child b of octant a (Morton
+ * order). A node at word w of its level is
+ *     words[w]                      bits 0..7 child mask, other bits 0
+ *     words[w+1 .. w+k]             k = popcount(mask) references, in octant order, each a word index of a node of
+ *                                   the next level, or a brick index when the next level is T-2
+ *     words[w+1+k ..]               k-1 attribute offsets of children 1..k-1, each offset_words words (little end first)
+ * Identical subtrees are stored once. A reference goes to the next level only, so there are no cycles.
+ * An octree of depth < 2 lies in the low corner of a tree of depth 2; the levels above its root are virtual.
+ *
+ * Attributes are numbered by the stored depth-first order (seed: Dado et al. 2016, section 2.4.1). With lod, every
+ * node counts: a node at index i has its first child at i + 1. Without, only finest voxels count and the first child
+ * is at i. The offset of a later child is its index minus its parent's. Inside a brick the same rule holds (brick,
+ * octant, voxels) and the offsets follow from bit counts: svo_brick_octant, svo_brick_voxel. */
+#ifndef SVO_VIEW_H
+#define SVO_VIEW_H
+
+#include "svo_channel.h"
+#include "svo_stream.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct svo_view_level {
+    const uint32_t *words;
+    uint64_t word_count, node_count;
+    uint32_t offset_words; /* 1 or 2 */
+} svo_view_level;
+
+/* How a channel's values are stored. */
+typedef enum svo_encoding {
+    SVO_ENCODING_CONSTANT = 0, /* svo_channel.value */
+    SVO_ENCODING_RAW = 1,      /* attribute_count * stride bytes */
+    SVO_ENCODING_BLOCKS = 2    /* palette blocks over a value table, see svo_palette.h */
+} svo_encoding;
+
+typedef struct svo_view_channel {
+    svo_channel channel;
+    svo_encoding encoding;
+    const uint8_t *raw; /* RAW */
+    /* BLOCKS */
+    const uint8_t *table; /* table_count values of the channel's kind */
+    uint64_t table_count;
+    const uint64_t *directory; /* per superblock, see svo_palette.h */
+    uint64_t superblock_count;
+    const uint8_t *payload;
+    uint64_t payload_size;
+} svo_view_channel;
+
+typedef struct svo_view {
+    uint32_t depth;       /* as the user gave it */
+    uint32_t tree_depth;  /* T */
+    uint32_t brick_level; /* T - 2 */
+    bool empty;           /* no voxel: everything below is zero */
+    bool lod;             /* inner nodes have attributes */
+    uint32_t root;        /* word index in level 0, or brick index when brick_level == 0 */
+    svo_view_level levels[SVO_MAX_DEPTH]; /* levels 0 .. brick_level - 1 */
+    const uint64_t *bricks;
+    uint64_t brick_count;
+    uint64_t attribute_count;
+    uint64_t nodes[SVO_MAX_DEPTH + 1]; /* octree nodes a level, 0..depth, shared ones counted as often as they appear */
+    double voxel_to_world[16];
+    svo_surface surface;
+    svo_fill fill;
+    uint32_t channel_count;
+    svo_view_channel channels[SVO_MAX_CHANNELS];
+} svo_view;
+
+typedef struct svo_view_node {
+    uint32_t ref;       /* word index (level < brick_level) or brick index */
+    uint64_t attribute; /* index of the node itself with lod, of its first finest voxel without */
+} svo_view_node;
+
+static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, uint32_t ref)
+{
+    return (uint8_t)v->levels[level].words[ref];
+}
+
+/* Child of a node above the bricks. `octant` must be in its mask. */
+static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant)
+{
+    const svo_view_level *l = &v->levels[level];
+    const uint32_t *w = l->words + node.ref;
+    uint32_t mask = w[0] & 0xffu;
+    uint32_t k = (uint32_t)__builtin_popcount(mask), slot = (uint32_t)__builtin_popcount(mask & ((1u << octant) - 1));
+    svo_view_node child;
+    child.ref = w[1 + slot];
+    if (slot == 0) child.attribute = node.attribute + (v->lod ? 1 : 0);
+    else if (l->offset_words == 1) child.attribute = node.attribute + w[1 + k + slot - 1];
+    else child.attribute = node.attribute + (w[1 + k + 2 * (slot - 1)] | (uint64_t)w[2 + k + 2 * (slot - 1)] << 32);
+    return child;
+}
+
+/* Bit 8a set for every octant a of the brick that is not empty. */
+static inline uint64_t svo_brick_octants(uint64_t brick)
+{
+    brick |= brick >> 4;
+    brick |= brick >> 2;
+    brick |= brick >> 1;
+    return brick & 0x0101010101010101u;
+}
+
+/* Attribute index of octant a (0..7, not empty) of a brick at attribute index i: of the octant node with lod, of its
+ * first voxel without. */
+static inline uint64_t svo_brick_octant(bool lod, uint64_t brick, uint64_t i, uint32_t a)
+{
+    uint64_t below = ((uint64_t)1 << (8 * a)) - 1;
+    i += (uint64_t)__builtin_popcountll(brick & below);
+    if (lod) i += 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(brick) & below);
+    return i;
+}
+
+/* Attribute index of voxel bit b (0..63, set) of a brick at attribute index i. */
+static inline uint64_t svo_brick_voxel(bool lod, uint64_t brick, uint64_t i, uint32_t b)
+{
+    uint64_t below = ((uint64_t)1 << b) - 1;
+    i += (uint64_t)__builtin_popcountll(brick & below);
+    /* itself: the brick's entry, and one for every non-empty octant up to and including its own */
+    if (lod) i += 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(brick) & (((uint64_t)2 << (8 * (b / 8))) - 1));
+    return i;
+}
+
+/* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
+void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);
+
+/* Index of the channel with this name, SVO_MAX_CHANNELS if there is none. */
+uint32_t svo_view_find_channel(const svo_view *v, const char *name);
+
+/* Is grid cell x, y, z (< 2^depth) a voxel? If so *index is its attribute index. index may be NULL. */
+bool svo_view_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index);
+
+/* Walk all finest voxels in depth-first order; false when fn stopped it. */
+typedef bool (*svo_view_voxel_fn)(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index);
+bool svo_view_voxels(const svo_view *v, svo_view_voxel_fn fn, void *user);
+
+/* Prove that every traversal stays inside the arrays and that all indices are < attribute_count: references point to
+ * node starts of the next level, masks are not 0, offsets equal the counts of the subtrees, level counts match,
+ * palette blocks lie inside the payload. Linear time; memory a few bytes a node. Run on every file before use. */
+svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,61 @@
+/* Triangles to voxels: exact surface voxelization with attributes, streamed chunk by chunk. */
+#ifndef SVO_VOXELIZE_H
+#define SVO_VOXELIZE_H
+
+#include "svo_mesh.h"
+#include "svo_stream.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Channels that can be asked for, as bits. */
+enum {
+    SVO_WANT_COLOR = 1, SVO_WANT_NORMAL = 2, SVO_WANT_EMISSIVE = 4, SVO_WANT_METALLIC = 8, SVO_WANT_ROUGHNESS = 16,
+    SVO_WANT_MATERIAL = 32,
+    SVO_WANT_AUTO = 1 << 30 /* normal, and every other channel in which the mesh says something */
+};
+
+typedef struct svo_voxelize_options {
+    uint32_t depth;     /* 0..SVO_MAX_DEPTH; used when voxel_size is 0 */
+    double voxel_size;  /* > 0: edge of a voxel in mesh units; the depth follows from the bounds, and the grid is
+                           aligned to multiples of voxel_size, so that equal sizes of different meshes fit together */
+    svo_surface surface;
+    svo_fill fill;
+    uint32_t channels; /* SVO_WANT_ bits, 0 = geometry only */
+    uint32_t threads;  /* 0 = all */
+    uint64_t memory;   /* bytes the call may hold besides the mesh, 0 = no limit; more is SVO_LIMIT */
+    const svo_allocator *allocator;
+    svo_warnings *warnings; /* may be NULL */
+} svo_voxelize_options;
+
+/* Zero-filled options with depth 10, conservative surface, automatic channels. */
+svo_voxelize_options svo_default_voxelize_options(void);
+
+/* Measured, not assumed; lengths in voxels unless they say otherwise. */
+typedef struct svo_voxelize_report {
+    uint64_t triangles;           /* placed, that is with instances */
+    uint64_t skipped_not_finite;  /* triangles with a NaN or infinite corner */
+    uint64_t degenerate;          /* triangles that are a segment or a point after the snap; they still mark voxels */
+    double snap_mean, snap_max;   /* distance a vertex moved by the snap to the lattice */
+    uint64_t masked_voxels;       /* voxels removed by alpha MASK */
+    svo_tree_counts counts;
+    uint64_t peak_bytes;          /* of memory charged to `memory` */
+    double seconds_setup, seconds_voxels;
+} svo_voxelize_report;
+
+/* The grid, the snap lattice and the channels that svo_voxelize will use for this mesh: call it first, hand the info to
+ * the sink's owner, then svo_voxelize with the same arguments. An empty mesh gives the unit grid. SVO_LIMIT when
+ * voxel_size asks for more than SVO_MAX_DEPTH levels. */
+svo_result svo_voxelize_plan(const svo_mesh *mesh, const svo_voxelize_options *options, svo_tree_info *info, svo_error *err);
+
+/* Voxelize into the sink. The voxel set is exact: vertices are snapped to odd multiples of 2^-8 voxel (see
+ * docs/design), after which a voxel is marked if and only if its closed cube meets the closed triangle (conservative).
+ * The chunks do not depend on threads, memory, triangle order or compiler. */
+svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *options, const svo_tree_info *info,
+                        const svo_chunk_sink *sink, svo_voxelize_report *report, svo_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
