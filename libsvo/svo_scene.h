@@ -23,9 +23,10 @@ typedef struct svo_scene {
     const char *const *asset_names;
     uint64_t instance_count;
     const uint32_t *instance_asset;   /* < asset_count */
-    const float *instance_transform;  /* 12 each: row-major 3x4 from the asset's mesh coordinates to scene minus page origin */
+    const float *instance_transform;  /* 12 each: row-major 3x4 from the asset's mesh coordinates to scene minus page origin;
+                                         finite and invertible always */
     const uint64_t *instance_id;
-    const uint32_t *instance_name;    /* offset into names */
+    const uint32_t *instance_name;    /* offset into names; NULL when no instance has a name */
     const char *names;                /* NUL-terminated strings; offset 0 is "" */
     uint64_t names_size;
     uint32_t page_count;
@@ -35,11 +36,36 @@ typedef struct svo_scene {
     double camera_yfov;        /* radians */
 } svo_scene;
 
+/* Name of an instance, "" if it has none. */
+const char *svo_scene_instance_name(const svo_scene *s, uint64_t instance);
+
 /* Full transform of an instance in double precision. */
 svo_mat4 svo_scene_instance_transform(const svo_scene *s, uint32_t page, uint64_t instance);
 
 /* Bounds of all pages; false for a scene without instances. */
 bool svo_scene_bounds(const svo_scene *s, double low[3], double high[3]);
+
+/* One packed octree as a scene of one instance with the identity transform (none when it is empty). `storage` is
+ * caller-owned and must neither move nor end while *scene is used; view and name are borrowed. The page's bounds are
+ * those of the finest voxels. Fails only for want of memory (scratch, freed before it returns). */
+typedef struct svo_scene_one {
+    svo_scene scene; /* use this */
+    const svo_view *view;
+    const char *asset_name;
+    uint32_t asset;
+    float transform[12];
+    uint64_t id;
+    svo_scene_page page;
+} svo_scene_one;
+svo_result svo_scene_single(const svo_view *view, const char *name, const svo_allocator *a, svo_scene_one *storage, svo_error *err);
+
+/* Grid coordinates of the finest voxels' bounding box: cells low..high, both inclusive; false in *any for an empty octree.
+ * Exact; time and scratch are linear in the stored nodes. */
+svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool *any, uint32_t low[3], uint32_t high[3], svo_error *err);
+
+/* Bounds of the mapped corners of a box, widened by a few units in the last place so that they hold every mapped point
+ * of the box in spite of rounding. Not finite (infinite or NaN) where the mapped box overflows. */
+void svo_box_transform(const svo_mat4 *m, const double low[3], const double high[3], double out_low[3], double out_high[3]);
 
 #ifdef __cplusplus
 }

@@ -1,0 +1,45 @@
+/* .svscene: a packed, instanced scene that is mapped and drawn in place; docs/format/svscene.md is normative. */
+#ifndef FMT_SCENE_H
+#define FMT_SCENE_H
+
+#include "fmt_container.h"
+#include "fmt_svdag.h"
+#include "svo_scene.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Bytes of a written scene by part; payloads with their chunk headers and padding. */
+typedef struct fmt_scene_bytes {
+    uint64_t assets, instances, pages, names, rest; /* rest: header, HEAD, camera, META, table, footer */
+} fmt_scene_bytes;
+
+/* Write a scene (pages as svo_pack made them, or a mapped scene again). It is checked as fmt_scene_open checks a file,
+ * its assets excepted, so that nothing is written that cannot be read: SVO_INVALID_ARGUMENT otherwise. Assets are stored
+ * as .svdag images without provenance, one after the other, with one image in memory at a time. Same scene and
+ * provenance (JSON text, may be NULL), same bytes. bytes may be NULL. */
+svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
+                           fmt_scene_bytes *bytes, svo_error *err);
+
+/* An opened file. Arrays of `scene` point into the file's bytes, which must outlive it. All hashes are checked,
+ * every asset is opened by fmt_svdag_open, and every rule of docs/format/svscene.md holds when this returns SVO_OK.
+ * Memory: the table of chunks and a few hundred bytes an asset; nothing an instance. Do not copy the struct: scene
+ * points into what it owns, not into the struct itself, so moving it is fine, closing it twice is not. */
+typedef struct fmt_scene {
+    svo_scene scene;
+    fmt_container container;
+    fmt_svdag *assets;     /* scene.asset_count; scene.assets point to their views */
+    const svo_view **views;
+    const char **asset_names;
+    char *provenance; /* JSON text or "" */
+    const svo_allocator *allocator;
+} fmt_scene;
+svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err);
+/* Zeroes *s; a zeroed one is fine. */
+void fmt_scene_close(fmt_scene *s);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
