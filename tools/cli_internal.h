@@ -1,0 +1,31 @@
+/* Shared by the cli_*.c files only. */
+#ifndef CLI_INTERNAL_H
+#define CLI_INTERNAL_H
+
+#include <stdio.h>
+
+#include "cli.h"
+
+enum { CLI_MAX_COMMON = 12, CLI_MAX_EXIT_CODE = 7 };
+
+/* The common options, bound to c. Returns their number. help and version are bound to *help and *version. */
+size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_MAX_COMMON]);
+
+/* Parse the text of one value; false with a reason in why. */
+bool cli_parse_value(const cli_option *o, const char *text, char why[200]);
+/* Text of an option's range ("0..21", "a|b|c"), empty when there is none, and of its present value. */
+void cli_range_text(const cli_option *o, char *out, size_t size);
+void cli_value_text(const cli_option *o, char *out, size_t size);
+
+void cli_print_help(FILE *to, const cli_tool *tool, const cli_option *common, size_t common_count);
+
+/* Open c->report; false with *err filled. */
+bool cli_report_open(cli *c, svo_error *err);
+/* Complete and write it (or discard when it was never opened); false with *err filled. */
+bool cli_report_write(cli *c, int exit_code, const char *failure, const char *failure_name, svo_error *err);
+void cli_report_options(cli *c);
+
+/* stderr line with prefix, clearing a progress line first. */
+void cli_say(const cli *c, const char *kind, const char *text);
+
+#endif

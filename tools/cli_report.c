@@ -1,0 +1,252 @@
+/* The JSON report and the provenance text. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+
+#include "cli_internal.h"
+#include "fmt_file.h"
+
+/* Length of the valid UTF-8 sequence at p (NUL-terminated text), 0 if there is none. */
+static size_t utf8_length(const uint8_t *p)
+{
+    static const struct { uint8_t mask, lead; uint32_t least; } form[] = {
+        {0x80, 0x00, 0}, {0xe0, 0xc0, 0x80}, {0xf0, 0xe0, 0x800}, {0xf8, 0xf0, 0x10000}};
+    for (size_t n = 0; n < 4; n++) {
+        if ((p[0] & form[n].mask) != form[n].lead) continue;
+        uint32_t code = p[0] & (uint32_t)(uint8_t)~form[n].mask;
+        for (size_t i = 1; i <= n; i++) {
+            if ((p[i] & 0xc0) != 0x80) return 0;
+            code = code << 6 | (p[i] & 0x3fu);
+        }
+        bool good = code >= form[n].least && code <= 0x10ffff && (code < 0xd800 || code > 0xdfff);
+        return good ? n + 1 : 0;
+    }
+    return 0;
+}
+
+json_t *cli_text(const char *value)
+{
+    json_t *direct = json_string(value);
+    if (direct != NULL) return direct;
+    size_t length = strlen(value), at = 0;
+    char *copy = malloc(3 * length + 1);
+    if (copy == NULL) return NULL;
+    for (const char *p = value; *p != 0;) {
+        size_t n = utf8_length((const uint8_t *)p);
+        if (n > 0) memcpy(copy + at, p, n), at += n, p += n;
+        else memcpy(copy + at, "\xef\xbf\xbd", 3), at += 3, p++;
+    }
+    json_t *text = json_stringn(copy, at);
+    free(copy);
+    return text;
+}
+
+void cli_put_u64(json_t *object, const char *key, uint64_t value)
+{
+    json_object_set_new(object, key, value <= INT64_MAX ? json_integer((json_int_t)value) : json_real((double)value));
+}
+
+void cli_put_f64(json_t *object, const char *key, double value)
+{
+    json_object_set_new(object, key, isfinite(value) ? json_real(value) : json_null());
+}
+
+void cli_put_text(json_t *object, const char *key, const char *value)
+{
+    json_object_set_new(object, key, value != NULL ? cli_text(value) : json_null());
+}
+
+json_t *cli_section(cli *c, const char *name)
+{
+    json_t *section = json_object_get(c->json, name);
+    if (section == NULL) {
+        json_object_set_new(c->json, name, json_object());
+        section = json_object_get(c->json, name);
+    }
+    return section;
+}
+
+void cli_phase(cli *c, const char *name)
+{
+    double now = svo_seconds();
+    if (c->phase != NULL) {
+        json_t *phases = json_object_get(c->json, "phases"), *entry = NULL;
+        for (size_t i = 0; i < json_array_size(phases) && entry == NULL; i++) {
+            json_t *e = json_array_get(phases, i);
+            if (strcmp(json_string_value(json_object_get(e, "name")), c->phase) == 0) entry = e;
+        }
+        double before = 0;
+        if (entry == NULL) {
+            entry = json_object();
+            cli_put_text(entry, "name", c->phase);
+            json_array_append_new(phases, entry);
+        } else {
+            before = json_real_value(json_object_get(entry, "seconds"));
+        }
+        cli_put_f64(entry, "seconds", before + now - c->phase_started);
+    }
+    c->phase = name;
+    c->phase_started = now;
+}
+
+static json_t *option_value(const cli_option *o)
+{
+    bool given = o->seen != NULL && *o->seen;
+    if (o->no_default && o->seen != NULL && !given) return json_null();
+    switch (o->kind) {
+    case CLI_FLAG: return json_boolean(*(const bool *)o->value);
+    case CLI_TEXT: return *(const char **)o->value != NULL ? cli_text(*(const char **)o->value) : json_null();
+    case CLI_U64:
+    case CLI_SIZE: return json_integer((json_int_t)*(const uint64_t *)o->value);
+    case CLI_DOUBLE: return isfinite(*(const double *)o->value) ? json_real(*(const double *)o->value) : json_null();
+    case CLI_CHOICE: return cli_text(o->choices[*(const int *)o->value]);
+    case CLI_VEC3: {
+        const double *v = (const double *)o->value;
+        return json_pack("[f,f,f]", v[0], v[1], v[2]);
+    }
+    }
+    return json_null();
+}
+
+json_t *cli_options_json(const cli *c, bool common)
+{
+    json_t *out = json_object();
+    if (common) {
+        bool help, version;
+        cli_option table[CLI_MAX_COMMON];
+        size_t count = cli_common_options((cli *)(uintptr_t)c, &help, &version, table);
+        for (size_t i = 0; i < count; i++)
+            if (table[i].value != &help && table[i].value != &version)
+                json_object_set_new(out, table[i].name, option_value(&table[i]));
+        json_object_set_new(out, "verbose", json_integer(c->verbose));
+    } else {
+        for (size_t i = 0; i < c->tool->option_count; i++)
+            json_object_set_new(out, c->tool->options[i].name, option_value(&c->tool->options[i]));
+    }
+    return out;
+}
+
+void cli_report_options(cli *c)
+{
+    json_t *options = cli_options_json(c, false), *common = cli_options_json(c, true);
+    json_object_update_missing(options, common);
+    json_decref(common);
+    json_object_set_new(c->json, "options", options);
+    json_t *inputs = json_array();
+    for (int i = 0; i < c->input_count; i++) json_array_append_new(inputs, cli_text(c->inputs[i]));
+    json_object_set_new(c->json, "inputs", inputs);
+}
+
+/* High-water mark of resident memory. /proc speaks of this program alone; getrusage would also count what the parent
+ * held between fork and exec. */
+static uint64_t peak_rss(void)
+{
+    FILE *f = fopen("/proc/self/status", "re");
+    if (f != NULL) {
+        char line[256];
+        unsigned long long kib = 0;
+        bool found = false;
+        while (!found && fgets(line, sizeof line, f) != NULL) found = sscanf(line, "VmHWM: %llu kB", &kib) == 1;
+        fclose(f);
+        if (found) return kib * 1024;
+    }
+    struct rusage usage;
+    return getrusage(RUSAGE_SELF, &usage) == 0 ? (uint64_t)usage.ru_maxrss * 1024 : 0;
+}
+
+/* Is the file at path a report of ours (or empty)? Then it may be replaced without --force, so that a pipeline can run
+ * again; anything else there is somebody's data. */
+static bool replaceable(const char *path)
+{
+    struct stat s;
+    if (stat(path, &s) != 0) return true; /* nothing there */
+    if (!S_ISREG(s.st_mode)) return false;
+    if (s.st_size == 0) return true;
+    if (s.st_size > 64 << 20) return false;
+    json_t *old = json_load_file(path, JSON_REJECT_DUPLICATES, NULL);
+    const char *tool = json_string_value(json_object_get(old, "tool"));
+    bool ours = tool != NULL && strncmp(tool, "svo-", 4) == 0 && json_object_get(old, "wall_seconds") != NULL;
+    json_decref(old);
+    return ours;
+}
+
+bool cli_report_open(cli *c, svo_error *err)
+{
+    if (c->report == NULL || strcmp(c->report, "-") == 0) return true;
+    return fmt_output_open(c->report, c->force || replaceable(c->report), &c->report_file, err) == SVO_OK;
+}
+
+static json_t *warnings_json(const svo_warnings *w)
+{
+    json_t *list = json_array();
+    for (uint32_t i = 0; i < w->count; i++) {
+        json_t *entry = json_object();
+        cli_put_text(entry, "text", w->line[i].text);
+        cli_put_u64(entry, "times", w->line[i].times);
+        json_array_append_new(list, entry);
+    }
+    if (w->suppressed > 0) {
+        json_t *entry = json_object();
+        cli_put_text(entry, "text", "further warnings were not recorded");
+        cli_put_u64(entry, "times", w->suppressed);
+        json_array_append_new(list, entry);
+    }
+    return list;
+}
+
+bool cli_report_write(cli *c, int exit_code, const char *failure, const char *failure_name, svo_error *err)
+{
+    if (c->report == NULL) return true;
+    cli_phase(c, NULL);
+    cli_put_f64(c->json, "wall_seconds", svo_seconds() - c->started);
+    cli_put_u64(c->json, "peak_rss_bytes", peak_rss());
+    cli_put_u64(c->json, "exit_code", (uint64_t)exit_code);
+    json_object_set_new(c->json, "warnings", warnings_json(&c->warnings));
+    if (failure != NULL) {
+        cli_put_text(c->json, "error", failure);
+        cli_put_text(c->json, "error_code", failure_name);
+    }
+    char *text = json_dumps(c->json, JSON_SORT_KEYS | JSON_INDENT(2) | JSON_REAL_PRECISION(17));
+    if (text == NULL) {
+        svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the report");
+        return false;
+    }
+    svo_result result = SVO_OK;
+    if (c->report_file == NULL) {
+        if (fputs(text, stdout) < 0 || fputc('\n', stdout) < 0)
+            result = svo_fail(err, SVO_IO, "the report could not be written to stdout: %s", strerror(errno));
+    } else {
+        result = fmt_output_write(c->report_file, text, strlen(text), err);
+        if (result == SVO_OK) result = fmt_output_write(c->report_file, "\n", 1, err);
+        if (result == SVO_OK) result = fmt_output_commit(c->report_file, err);
+        else fmt_output_discard(c->report_file);
+        c->report_file = NULL;
+    }
+    free(text);
+    return result == SVO_OK;
+}
+
+json_t *cli_provenance_input(const char *path, const char *hash)
+{
+    const char *slash = strrchr(path, '/');
+    json_t *entry = json_object();
+    cli_put_text(entry, "name", slash != NULL ? slash + 1 : path);
+    if (hash != NULL) cli_put_text(entry, "hash", hash);
+    return entry;
+}
+
+char *cli_provenance(const cli *c, json_t *options, json_t *inputs)
+{
+    json_t *out = json_object();
+    cli_put_text(out, "tool", c->tool->name);
+    cli_put_text(out, "version", SVO_VERSION_STRING);
+    json_object_set_new(out, "options", options != NULL ? options : json_object());
+    json_object_set_new(out, "inputs", inputs != NULL ? inputs : json_array());
+    char *text = json_dumps(out, JSON_SORT_KEYS | JSON_COMPACT | JSON_REAL_PRECISION(17));
+    json_decref(out);
+    return text;
+}
