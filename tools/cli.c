@@ -23,7 +23,7 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
                             .help = "Replace files that exist."};
     out[n++] = (cli_option){.name = "threads", .kind = CLI_U64, .value = &c->threads, .argument = "N", .max = 1024,
                             .help = "Threads to use, 0 = one for each processor; results do not depend on it."};
-    out[n++] = (cli_option){.name = "memory", .kind = CLI_SIZE, .value = &c->memory, .argument = "SIZE", .max = 0x1p62,
+    out[n++] = (cli_option){.name = "memory", .kind = CLI_SIZE, .value = &c->memory, .argument = "SIZE",
                             .help = "Keep memory below this, with K, M, G or T for powers of 1024; 0 = no limit."};
     out[n++] = (cli_option){.name = "report", .kind = CLI_TEXT, .value = &c->report, .argument = "R.json", .no_default = true,
                             .help = "Write a JSON report (also on failure); - is stdout."};
@@ -100,9 +100,7 @@ static int leave(cli *c, int code, const char *failure, const char *failure_name
     svo_error err = {0};
     for (uint32_t i = 0; !c->quiet && i < c->warnings.count; i++) {
         char text[320];
-        unsigned long long times = c->warnings.line[i].times;
-        if (times > 1) snprintf(text, sizeof text, "%s (%llu times)", c->warnings.line[i].text, times);
-        else snprintf(text, sizeof text, "%s", c->warnings.line[i].text);
+        cli_warning_text(&c->warnings, i, text, sizeof text);
         cli_say(c, "warning: ", text);
     }
     if (c->warnings.suppressed > 0) cli_info(c, "%llu more warnings", (unsigned long long)c->warnings.suppressed);

@@ -24,6 +24,8 @@ bool cli_report_open(cli *c, svo_error *err);
 /* Complete and write it (or discard when it was never opened); false with *err filled. */
 bool cli_report_write(cli *c, int exit_code, const char *failure, const char *failure_name, svo_error *err);
 void cli_report_options(cli *c);
+/* Line i of w, with the number of times where that is not 1. */
+void cli_warning_text(const svo_warnings *w, uint32_t i, char *out, size_t size);
 
 /* stderr line with prefix, clearing a progress line first. */
 void cli_say(const cli *c, const char *kind, const char *text);

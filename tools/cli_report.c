@@ -180,20 +180,24 @@ bool cli_report_open(cli *c, svo_error *err)
     return fmt_output_open(c->report, c->force || replaceable(c->report), &c->report_file, err) == SVO_OK;
 }
 
+void cli_warning_text(const svo_warnings *w, uint32_t i, char *out, size_t size)
+{
+    unsigned long long times = w->line[i].times;
+    if (times > 1) snprintf(out, size, "%s (%llu times)", w->line[i].text, times);
+    else snprintf(out, size, "%s", w->line[i].text);
+}
+
 static json_t *warnings_json(const svo_warnings *w)
 {
     json_t *list = json_array();
+    char text[320];
     for (uint32_t i = 0; i < w->count; i++) {
-        json_t *entry = json_object();
-        cli_put_text(entry, "text", w->line[i].text);
-        cli_put_u64(entry, "times", w->line[i].times);
-        json_array_append_new(list, entry);
+        cli_warning_text(w, i, text, sizeof text);
+        json_array_append_new(list, cli_text(text));
     }
     if (w->suppressed > 0) {
-        json_t *entry = json_object();
-        cli_put_text(entry, "text", "further warnings were not recorded");
-        cli_put_u64(entry, "times", w->suppressed);
-        json_array_append_new(list, entry);
+        snprintf(text, sizeof text, "%llu more warnings were not recorded", (unsigned long long)w->suppressed);
+        json_array_append_new(list, cli_text(text));
     }
     return list;
 }
