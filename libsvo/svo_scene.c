@@ -29,7 +29,7 @@ bool svo_scene_bounds(const svo_scene *s, double low[3], double high[3])
     return s->page_count != 0;
 }
 
-void svo_box_transform(const svo_mat4 *m, const double low[3], const double high[3], double out_low[3], double out_high[3])
+void svo_box_transform(const svo_mat4 *m, const double low[3], const double high[3], double ulps, double out_low[3], double out_high[3])
 {
     /* Interval arithmetic on the rows gives the exact bounds of an affine image of a box; the slack covers the rounding
      * of the products and sums, here and in whoever maps a point of the box. */
@@ -41,8 +41,8 @@ void svo_box_transform(const svo_mat4 *m, const double low[3], const double high
             a += fmin(p, q), b += fmax(p, q);
             size += fmax(fabs(p), fabs(q));
         }
-        out_low[i] = a - 16 * DBL_EPSILON * size;
-        out_high[i] = b + 16 * DBL_EPSILON * size;
+        out_low[i] = a - ulps * DBL_EPSILON * size;
+        out_high[i] = b + ulps * DBL_EPSILON * size;
     }
 }
 
@@ -159,6 +159,6 @@ svo_result svo_scene_single(const svo_view *view, const char *name, const svo_al
     memcpy(m.m, view->voxel_to_world, sizeof m.m);
     double from[3], to[3];
     for (int k = 0; k < 3; k++) from[k] = low[k], to[k] = (double)high[k] + 1;
-    svo_box_transform(&m, from, to, s->page.low, s->page.high);
+    svo_box_transform(&m, from, to, 16, s->page.low, s->page.high);
     return SVO_OK;
 }

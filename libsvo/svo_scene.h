@@ -63,9 +63,10 @@ svo_result svo_scene_single(const svo_view *view, const char *name, const svo_al
  * Exact; time and scratch are linear in the stored nodes. */
 svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool *any, uint32_t low[3], uint32_t high[3], svo_error *err);
 
-/* Bounds of the mapped corners of a box, widened by a few units in the last place so that they hold every mapped point
- * of the box in spite of rounding. Not finite (infinite or NaN) where the mapped box overflows. */
-void svo_box_transform(const svo_mat4 *m, const double low[3], const double high[3], double out_low[3], double out_high[3]);
+/* Bounds of the image of a box under an affine matrix, widened by `ulps` units in the last place of the sizes involved.
+ * With 16 they hold every mapped point of the box in spite of rounding; 0 gives the plain values. Not finite (infinite
+ * or NaN) where the image overflows. */
+void svo_box_transform(const svo_mat4 *m, const double low[3], const double high[3], double ulps, double out_low[3], double out_high[3]);
 
 #ifdef __cplusplus
 }

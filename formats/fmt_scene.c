@@ -1,0 +1,464 @@
+/* Both directions of .svscene, and the rules that both obey (check_scene). */
+#include "fmt_scene.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "fmt_utf8.h"
+
+#define HEAD FMT_FOURCC('H', 'E', 'A', 'D')
+#define NAME FMT_FOURCC('N', 'A', 'M', 'E')
+#define PAGE FMT_FOURCC('P', 'A', 'G', 'E')
+#define IAST FMT_FOURCC('I', 'A', 'S', 'T')
+#define IXFM FMT_FOURCC('I', 'X', 'F', 'M')
+#define IIDS FMT_FOURCC('I', 'I', 'D', 'S')
+#define INAM FMT_FOURCC('I', 'N', 'A', 'M')
+#define CAMR FMT_FOURCC('C', 'A', 'M', 'R')
+#define ASET FMT_FOURCC('A', 'S', 'E', 'T')
+#define META FMT_FOURCC('M', 'E', 'T', 'A')
+
+#define MAJOR 1
+#define HEAD_BYTES 80u
+#define CAMERA_BYTES 136u
+#define HAS_CAMERA 1u
+
+/* The page table is used as it lies in the file. */
+_Static_assert(sizeof(svo_scene_page) == 88 && offsetof(svo_scene_page, high) == 24 && offsetof(svo_scene_page, origin) == 48 &&
+                   offsetof(svo_scene_page, first) == 72 && offsetof(svo_scene_page, count) == 80,
+               "svo_scene_page must lie in memory as PAGE elements do");
+
+static svo_result bad(svo_error *err, svo_result code, uint32_t chunk, uint64_t index, const char *rule, const char *what)
+{
+    char name[5];
+    fmt_fourcc_text(chunk, name);
+    svo_fail(err, code, "%s: %s (element %llu, rule %s)", name, what, (unsigned long long)index, rule);
+    if (err != NULL) err->chunk = chunk, err->index = index;
+    return code;
+}
+
+/* ---- rules ---- */
+
+static bool name_start(const svo_scene *s, uint64_t offset)
+{
+    return offset < s->names_size && (offset == 0 || s->names[offset - 1] == 0);
+}
+
+static svo_result check_names(const svo_scene *s, svo_result code, svo_error *err)
+{
+    if (s->names_size == 0 || s->names_size > UINT32_MAX || s->names[0] != 0 || s->names[s->names_size - 1] != 0)
+        return bad(err, code, NAME, 0, "SCN-03", "the table does not begin and end with a NUL");
+    if (!fmt_utf8_valid(s->names, s->names_size)) return bad(err, code, NAME, 0, "SCN-03", "not UTF-8");
+    for (uint64_t i = 0; s->instance_name != NULL && i < s->instance_count; i++)
+        if (!name_start(s, s->instance_name[i])) return bad(err, code, INAM, i, "SCN-03", "not the start of a name");
+    return SVO_OK;
+}
+
+/* Boxes of the assets' voxels, in grid coordinates: 6 doubles each, low then high. */
+static svo_result find_boxes(const svo_scene *s, svo_result code, const svo_allocator *a, double *boxes, svo_error *err)
+{
+    for (uint32_t i = 0; i < s->asset_count; i++) {
+        bool any;
+        uint32_t low[3], high[3];
+        SVO_TRY(svo_view_grid_bounds(s->assets[i], a, &any, low, high, err));
+        if (!any) return bad(err, code, ASET, i, "SCN-08", "the asset is empty");
+        for (int k = 0; k < 3; k++) boxes[6 * i + (uint32_t)k] = low[k], boxes[6 * i + 3 + (uint32_t)k] = (double)high[k] + 1;
+    }
+    return SVO_OK;
+}
+
+static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes, bool *used, svo_result code, svo_error *err)
+{
+    const svo_scene_page *page = &s->pages[p];
+    for (int k = 0; k < 3; k++)
+        if (!isfinite(page->low[k]) || !isfinite(page->high[k]) || !isfinite(page->origin[k]) || page->low[k] > page->high[k])
+            return bad(err, code, PAGE, p, "SCN-05", "bounds or origin are not finite or not in order");
+    for (uint64_t i = page->first; i < page->first + page->count; i++) {
+        uint32_t asset = s->instance_asset[i];
+        if (asset >= s->asset_count) return bad(err, code, IAST, i, "SCN-06", "there is no such asset");
+        used[asset] = true;
+        svo_mat4 m = svo_scene_instance_transform(s, p, i), inverse, grid;
+        bool finite = true;
+        for (int k = 0; k < 12; k++) finite = finite && isfinite(m.m[k]);
+        if (!finite || !svo_mat4_affine_inverse(&m, &inverse))
+            return bad(err, code, IXFM, i, "SCN-07", "the transform is not finite or not invertible");
+        memcpy(grid.m, s->assets[asset]->voxel_to_world, sizeof grid.m);
+        m = svo_mat4_mul(m, grid);
+        double low[3], high[3];
+        svo_box_transform(&m, boxes + 6 * asset, boxes + 6 * asset + 3, 0, low, high);
+        for (int k = 0; k < 3; k++)
+            if (!(low[k] >= page->low[k]) || !(high[k] <= page->high[k]))
+                return bad(err, code, PAGE, p, "SCN-10", "the bounds do not hold all instances of the page");
+    }
+    return SVO_OK;
+}
+
+static svo_result check_pages(const svo_scene *s, const double *boxes, bool *used, svo_result code, svo_error *err)
+{
+    uint64_t next = 0;
+    for (uint32_t p = 0; p < s->page_count; p++) {
+        if (s->pages[p].first != next || s->pages[p].count == 0 || s->pages[p].count > s->instance_count - next)
+            return bad(err, code, PAGE, p, "SCN-04", "the page does not follow the one before it");
+        next += s->pages[p].count;
+        SVO_TRY(check_page(s, p, boxes, used, code, err));
+    }
+    if (next != s->instance_count) return bad(err, code, PAGE, s->page_count, "SCN-04", "the pages do not hold all instances");
+    for (uint32_t a = 0; a < s->asset_count; a++)
+        if (!used[a]) return bad(err, code, ASET, a, "SCN-06", "no instance uses the asset");
+    return SVO_OK;
+}
+
+static svo_result check_camera(const svo_scene *s, svo_result code, svo_error *err)
+{
+    if (!s->has_camera) return SVO_OK;
+    const double *m = s->camera_transform.m;
+    svo_mat4 inverse;
+    bool good = m[12] == 0 && m[13] == 0 && m[14] == 0 && m[15] == 1;
+    for (int i = 0; i < 16; i++) good = good && isfinite(m[i]);
+    good = good && svo_mat4_affine_inverse(&s->camera_transform, &inverse);
+    /* (NaN fails both comparisons) */
+    if (!good || !(s->camera_yfov > 0) || !(s->camera_yfov < 3.14159265358979312))
+        return bad(err, code, CAMR, 0, "SCN-09", "the camera is not affine, invertible and with a field of view below pi");
+    return SVO_OK;
+}
+
+static svo_result check_scene(const svo_scene *s, svo_result code, const svo_allocator *a, svo_error *err)
+{
+    SVO_TRY(check_names(s, code, err));
+    SVO_TRY(check_camera(s, code, err));
+    if (s->asset_count == 0 && s->instance_count != 0) return bad(err, code, HEAD, 0, "SCN-06", "instances without assets");
+    if (s->asset_count == 0) return s->page_count == 0 ? SVO_OK : bad(err, code, PAGE, 0, "SCN-04", "a page without instances");
+    double *boxes = svo_alloc(a, s->asset_count, 6 * sizeof *boxes);
+    bool *used = svo_calloc(a, s->asset_count, sizeof *used);
+    svo_result result = boxes == NULL || used == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %u assets", s->asset_count) : SVO_OK;
+    if (result == SVO_OK) result = find_boxes(s, code, a, boxes, err);
+    if (result == SVO_OK) result = check_pages(s, boxes, used, code, err);
+    svo_free(a, boxes, s->asset_count, 6 * sizeof *boxes);
+    svo_free(a, used, s->asset_count, sizeof *used);
+    return result;
+}
+
+/* ---- writing ---- */
+
+typedef struct scene_writer {
+    fmt_writer *container;
+    fmt_output *out;
+    svo_buffer head, names;
+} scene_writer;
+
+/* Write a chunk of `count` elements; its bytes in the file are added to *bytes. */
+static svo_result put(scene_writer *w, uint32_t type, uint64_t id, const void *payload, uint64_t count, uint32_t stride, uint64_t *bytes, svo_error *err)
+{
+    uint64_t size = stride != 0 ? count * stride : count, before = fmt_output_offset(w->out);
+    fmt_chunk chunk = {.type = type, .flags = type == META ? 0 : FMT_CHUNK_CRITICAL, .codec = FMT_CODEC_NONE, .stored_size = size,
+                       .decoded_size = size, .element_count = stride != 0 ? count : 0, .element_stride = stride, .id = id};
+    SVO_TRY(fmt_writer_chunk(w->container, &chunk, payload, err));
+    *bytes += fmt_output_offset(w->out) - before;
+    return SVO_OK;
+}
+
+/* HEAD, and NAME with those asset names that are not in the scene's table (a mapped scene has them there). */
+static svo_result build_head(scene_writer *w, const svo_scene *s, svo_error *err)
+{
+    uint8_t h[HEAD_BYTES] = {0};
+    bool stored = svo_buffer_append(&w->names, s->names, (size_t)s->names_size) != NULL && svo_buffer_append(&w->head, h, sizeof h) != NULL;
+    for (uint32_t a = 0; a < s->asset_count && stored; a++) {
+        uintptr_t name = (uintptr_t)s->asset_names[a], table = (uintptr_t)s->names;
+        uint64_t offset = w->names.size, size = strlen(s->asset_names[a]) + 1;
+        if (size == 1) offset = 0;
+        else if (name >= table && name - table < s->names_size) offset = name - table;
+        else {
+            if (offset + size > UINT32_MAX) return svo_fail(err, SVO_LIMIT, "the names of assets and instances take more than 4 GiB");
+            if (!fmt_utf8_valid(s->asset_names[a], size)) return bad(err, SVO_INVALID_ARGUMENT, NAME, a, "SCN-03", "an asset's name is not UTF-8");
+            stored = svo_buffer_append(&w->names, s->asset_names[a], (size_t)size) != NULL;
+        }
+        uint8_t number[4];
+        fmt_store32(number, (uint32_t)offset);
+        stored = stored && svo_buffer_append(&w->head, number, 4) != NULL;
+    }
+    if (!stored) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the names of a scene");
+    double bounds[6] = {0};
+    if (s->page_count != 0) svo_scene_bounds(s, bounds, bounds + 3);
+    uint8_t *head = w->head.data;
+    fmt_store32(head, s->asset_count);
+    fmt_store32(head + 4, s->page_count);
+    fmt_store64(head + 8, s->instance_count);
+    fmt_store64(head + 16, w->names.size);
+    fmt_store32(head + 24, s->has_camera ? HAS_CAMERA : 0);
+    memcpy(head + 32, bounds, sizeof bounds);
+    return SVO_OK;
+}
+
+static svo_result put_instances(scene_writer *w, const svo_scene *s, fmt_scene_bytes *bytes, svo_error *err)
+{
+    uint64_t n = s->instance_count;
+    if (n == 0) return SVO_OK;
+    SVO_TRY(put(w, PAGE, 0, s->pages, s->page_count, sizeof *s->pages, &bytes->pages, err));
+    SVO_TRY(put(w, IAST, 0, s->instance_asset, n, 4, &bytes->instances, err));
+    SVO_TRY(put(w, IXFM, 0, s->instance_transform, n, 48, &bytes->instances, err));
+    SVO_TRY(put(w, IIDS, 0, s->instance_id, n, 8, &bytes->instances, err));
+    if (s->instance_name != NULL) SVO_TRY(put(w, INAM, 0, s->instance_name, n, 4, &bytes->names, err));
+    return SVO_OK;
+}
+
+static svo_result put_assets(scene_writer *w, const svo_scene *s, const svo_allocator *a, uint64_t *bytes, svo_error *err)
+{
+    svo_buffer image;
+    svo_buffer_init(&image, a);
+    svo_result result = SVO_OK;
+    for (uint32_t i = 0; i < s->asset_count && result == SVO_OK; i++) {
+        fmt_output *memory;
+        image.size = 0;
+        result = fmt_output_memory(&image, &memory, err);
+        if (result != SVO_OK) break;
+        result = fmt_svdag_write(memory, s->assets[i], NULL, err);
+        if (result == SVO_OK) result = fmt_output_commit(memory, err);
+        else fmt_output_discard(memory);
+        if (result == SVO_OK) result = put(w, ASET, i, image.data, image.size, 0, bytes, err);
+    }
+    svo_buffer_free(&image);
+    return result;
+}
+
+static svo_result put_all(scene_writer *w, const svo_scene *s, const char *provenance, const svo_allocator *a, fmt_scene_bytes *bytes, svo_error *err)
+{
+    SVO_TRY(build_head(w, s, err));
+    SVO_TRY(put(w, HEAD, 0, w->head.data, w->head.size, 0, &bytes->rest, err));
+    SVO_TRY(put(w, NAME, 0, w->names.data, w->names.size, 1, &bytes->names, err));
+    SVO_TRY(put_instances(w, s, bytes, err));
+    if (s->has_camera) {
+        double camera[17];
+        memcpy(camera, s->camera_transform.m, sizeof s->camera_transform.m);
+        camera[16] = s->camera_yfov;
+        SVO_TRY(put(w, CAMR, 0, camera, sizeof camera, 0, &bytes->rest, err));
+    }
+    SVO_TRY(put_assets(w, s, a, &bytes->assets, err));
+    if (provenance != NULL && provenance[0] != 0) SVO_TRY(put(w, META, 0, provenance, strlen(provenance), 0, &bytes->rest, err));
+    return SVO_OK;
+}
+
+svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
+                           fmt_scene_bytes *bytes, svo_error *err)
+{
+    fmt_scene_bytes sizes = {0};
+    SVO_TRY(check_scene(scene, SVO_INVALID_ARGUMENT, a, err));
+    uint64_t before = fmt_output_offset(out);
+    scene_writer w = {.out = out};
+    svo_buffer_init(&w.head, a);
+    svo_buffer_init(&w.names, a);
+    SVO_TRY(fmt_writer_begin(out, FMT_KIND_SCENE, MAJOR, 0, &w.container, err));
+    svo_result result = put_all(&w, scene, provenance, a, &sizes, err);
+    if (result == SVO_OK) result = fmt_writer_end(w.container, err);
+    else fmt_writer_discard(w.container);
+    svo_buffer_free(&w.head);
+    svo_buffer_free(&w.names);
+    if (result != SVO_OK) return result;
+    sizes.rest = fmt_output_offset(out) - before - sizes.assets - sizes.instances - sizes.pages - sizes.names;
+    if (bytes != NULL) *bytes = sizes;
+    return SVO_OK;
+}
+
+/* ---- reading ---- */
+
+/* Place of a known type in the order of chunks; 0 for an unknown one. */
+static int rank_of(uint32_t type)
+{
+    static const uint32_t order[] = {HEAD, NAME, PAGE, IAST, IXFM, IIDS, INAM, CAMR, ASET, META};
+    for (int i = 0; i < 10; i++)
+        if (order[i] == type) return i + 1;
+    return 0;
+}
+
+static svo_result check_order(const fmt_container *c, svo_error *err)
+{
+    int last = 0;
+    uint64_t assets = 0;
+    for (uint32_t i = 0; i < c->chunk_count; i++) {
+        const fmt_chunk *k = &c->chunks[i];
+        int rank = rank_of(k->type);
+        char name[5];
+        fmt_fourcc_text(k->type, name);
+        if (rank == 0 && (k->flags & FMT_CHUNK_CRITICAL) != 0)
+            return svo_fail(err, SVO_UNSUPPORTED, "chunk %s is needed to understand the scene, but this version does not know it (rule CON-09)", name);
+        if (rank == 0) continue;
+        if (rank < last || (rank == last && k->type != ASET)) return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "not in its place, or twice");
+        if (k->codec != FMT_CODEC_NONE || (k->type != META && (k->flags & FMT_CHUNK_CRITICAL) == 0))
+            return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong codec or flags");
+        if (k->id != (k->type == ASET ? assets : 0)) return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong id");
+        if (k->type == ASET) assets++;
+        last = rank;
+    }
+    return SVO_OK;
+}
+
+/* The payload of the only chunk of a type, checked to hold `count` elements of `stride` bytes (stride 0: count bytes). Where
+ * count is 0 the chunk must be missing, and *bytes is NULL. */
+static svo_result take(const fmt_container *c, uint32_t type, uint64_t count, uint32_t stride, const uint8_t **bytes, svo_error *err)
+{
+    const fmt_chunk *k = fmt_container_find(c, type, true, 0);
+    *bytes = NULL;
+    if (k == NULL && count == 0) return SVO_OK;
+    if (k == NULL) return bad(err, SVO_INVALID_DATA, type, 0, "SCN-01", "missing");
+    uint64_t size = k->stored_size;
+    /* (divide, do not multiply: count is a claim) */
+    bool fits = count != 0 && (stride == 0 ? size == count : size / stride == count && size % stride == 0);
+    if (!fits || k->element_stride != stride || k->element_count != (stride != 0 ? count : 0))
+        return bad(err, SVO_INVALID_DATA, type, 0, "SCN-02", "wrong size or element count");
+    return fmt_container_payload(c, k, bytes, err);
+}
+
+typedef struct head {
+    uint32_t assets, flags;
+    uint64_t names_size;
+    double bounds[6];
+    const uint8_t *asset_names; /* u32 each */
+} head;
+
+static svo_result read_head(fmt_scene *f, head *h, svo_error *err)
+{
+    const fmt_chunk *k = fmt_container_find(&f->container, HEAD, true, 0);
+    if (k == NULL) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-01", "missing");
+    if (k->stored_size < HEAD_BYTES || k->element_count != 0 || k->element_stride != 0)
+        return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "wrong size");
+    const uint8_t *b;
+    SVO_TRY(fmt_container_payload(&f->container, k, &b, err));
+    h->assets = fmt_load32(b);
+    f->scene.page_count = fmt_load32(b + 4);
+    f->scene.instance_count = fmt_load64(b + 8);
+    h->names_size = fmt_load64(b + 16);
+    h->flags = fmt_load32(b + 24);
+    memcpy(h->bounds, b + 32, sizeof h->bounds);
+    h->asset_names = b + HEAD_BYTES;
+    if ((k->stored_size - HEAD_BYTES) / 4 != h->assets || k->stored_size % 4 != 0) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "wrong size");
+    if ((h->flags & ~HAS_CAMERA) != 0 || fmt_load32(b + 28) != 0)
+        return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "unknown flags, or a reserved field that is not 0");
+    uint64_t stored = 0;
+    for (uint32_t i = 0; i < f->container.chunk_count; i++) stored += f->container.chunks[i].type == ASET;
+    if (stored != h->assets) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "the number of assets is not that of ASET chunks");
+    return SVO_OK;
+}
+
+static svo_result read_arrays(fmt_scene *f, const head *h, svo_error *err)
+{
+    const fmt_container *c = &f->container;
+    svo_scene *s = &f->scene;
+    const uint8_t *names, *pages, *assets, *transforms, *ids, *name = NULL, *camera;
+    SVO_TRY(take(c, NAME, h->names_size, 1, &names, err));
+    if (names == NULL) return bad(err, SVO_INVALID_DATA, NAME, 0, "SCN-03", "missing");
+    SVO_TRY(take(c, PAGE, s->page_count, sizeof(svo_scene_page), &pages, err));
+    SVO_TRY(take(c, IAST, s->instance_count, 4, &assets, err));
+    SVO_TRY(take(c, IXFM, s->instance_count, 48, &transforms, err));
+    SVO_TRY(take(c, IIDS, s->instance_count, 8, &ids, err));
+    if (fmt_container_find(c, INAM, true, 0) != NULL) SVO_TRY(take(c, INAM, s->instance_count, 4, &name, err));
+    SVO_TRY(take(c, CAMR, (h->flags & HAS_CAMERA) != 0 ? CAMERA_BYTES : 0, 0, &camera, err));
+    s->names = (const char *)names;
+    s->names_size = h->names_size;
+    s->pages = (const svo_scene_page *)(const void *)pages;
+    s->instance_asset = (const uint32_t *)(const void *)assets;
+    s->instance_transform = (const float *)(const void *)transforms;
+    s->instance_id = (const uint64_t *)(const void *)ids;
+    s->instance_name = (const uint32_t *)(const void *)name;
+    s->has_camera = camera != NULL;
+    if (camera != NULL) {
+        memcpy(s->camera_transform.m, camera, sizeof s->camera_transform.m);
+        memcpy(&s->camera_yfov, camera + 128, 8);
+    }
+    return SVO_OK;
+}
+
+static svo_result read_assets(fmt_scene *f, const head *h, svo_error *err)
+{
+    if (h->assets == 0) return SVO_OK;
+    /* The number is believed: that many ASET chunks are in the file. */
+    f->assets = svo_calloc(f->allocator, h->assets, sizeof *f->assets);
+    f->views = svo_calloc(f->allocator, h->assets, sizeof *f->views);
+    f->asset_names = svo_calloc(f->allocator, h->assets, sizeof *f->asset_names);
+    f->scene.asset_count = h->assets;
+    f->scene.assets = f->views;
+    f->scene.asset_names = f->asset_names;
+    if (f->assets == NULL || f->views == NULL || f->asset_names == NULL)
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the tables of %u assets", h->assets);
+    uint32_t a = 0;
+    for (uint32_t i = 0; i < f->container.chunk_count; i++) {
+        const fmt_chunk *k = &f->container.chunks[i];
+        if (k->type != ASET) continue;
+        uint32_t name = fmt_load32(h->asset_names + 4 * (uint64_t)a);
+        if (!name_start(&f->scene, name)) return bad(err, SVO_INVALID_DATA, HEAD, a, "SCN-03", "an asset's name is not the start of a name");
+        f->asset_names[a] = f->scene.names + name;
+        const uint8_t *bytes;
+        SVO_TRY(fmt_container_payload(&f->container, k, &bytes, err));
+        svo_error inner;
+        svo_result result = fmt_svdag_open(bytes, k->stored_size, f->allocator, &f->assets[a], &inner);
+        if (result != SVO_OK) {
+            svo_fail(err, result, "ASET %u: %s", a, inner.message);
+            if (err != NULL) err->chunk = ASET, err->index = a, err->offset = k->offset + inner.offset;
+            return result;
+        }
+        f->views[a] = &f->assets[a].view;
+        a++;
+    }
+    return SVO_OK;
+}
+
+static svo_result read_provenance(fmt_scene *f, svo_error *err)
+{
+    const fmt_chunk *k = fmt_container_find(&f->container, META, true, 0);
+    const uint8_t *bytes = NULL;
+    uint64_t size = 0;
+    if (k != NULL) {
+        SVO_TRY(fmt_container_payload(&f->container, k, &bytes, err));
+        size = k->stored_size;
+        if (!fmt_utf8_valid((const char *)bytes, size) || memchr(bytes, 0, (size_t)size) != NULL)
+            return bad(err, SVO_INVALID_DATA, META, 0, "SCN-01", "not UTF-8 text");
+    }
+    char *text = svo_calloc(f->allocator, size + 1, 1);
+    if (text == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance");
+    if (size != 0) memcpy(text, bytes, (size_t)size);
+    f->provenance = text;
+    return SVO_OK;
+}
+
+static svo_result read_all(fmt_scene *f, svo_error *err)
+{
+    if (f->container.kind != FMT_KIND_SCENE) return svo_fail(err, SVO_INVALID_DATA, "not an .svscene file, but another kind of svokit file");
+    if (f->container.major != MAJOR)
+        return svo_fail(err, SVO_UNSUPPORTED, ".svscene version %u is newer than this program (it reads version %d)", f->container.major, MAJOR);
+    head h;
+    SVO_TRY(check_order(&f->container, err));
+    SVO_TRY(read_head(f, &h, err));
+    SVO_TRY(read_arrays(f, &h, err));
+    SVO_TRY(read_assets(f, &h, err));
+    SVO_TRY(read_provenance(f, err));
+    SVO_TRY(check_scene(&f->scene, SVO_INVALID_DATA, f->allocator, err));
+    double bounds[6] = {0};
+    if (f->scene.page_count != 0) svo_scene_bounds(&f->scene, bounds, bounds + 3);
+    for (int k = 0; k < 6; k++)
+        if (h.bounds[k] != bounds[k]) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-05", "the bounds are not the union of the pages'");
+    return SVO_OK;
+}
+
+svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err)
+{
+    fmt_scene f;
+    memset(&f, 0, sizeof f);
+    f.allocator = a;
+    SVO_TRY(fmt_container_open(data, size, a, &f.container, err));
+    svo_result result = read_all(&f, err);
+    if (result != SVO_OK) {
+        fmt_scene_close(&f);
+        return result;
+    }
+    *out = f;
+    return SVO_OK;
+}
+
+void fmt_scene_close(fmt_scene *s)
+{
+    if (s == NULL) return;
+    for (uint32_t i = 0; s->assets != NULL && i < s->scene.asset_count; i++) fmt_svdag_close(&s->assets[i]);
+    svo_free(s->allocator, s->assets, s->scene.asset_count, sizeof *s->assets);
+    svo_free(s->allocator, s->views, s->scene.asset_count, sizeof *s->views);
+    svo_free(s->allocator, s->asset_names, s->scene.asset_count, sizeof *s->asset_names);
+    if (s->provenance != NULL) svo_free(s->allocator, s->provenance, strlen(s->provenance) + 1, 1);
+    fmt_container_close(&s->container);
+    memset(s, 0, sizeof *s);
+}
