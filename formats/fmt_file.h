@@ -13,12 +13,18 @@ extern "C" {
  * Writing is sequential and buffered; the offset is tracked for all sinks, pipes too. */
 typedef struct fmt_output fmt_output;
 
+/* A target that exists and is no regular file (a device, a fifo) is written directly and needs no force; a symbolic
+ * link is kept and what it names is replaced. Programs that write to pipes should ignore SIGPIPE (the tools do): a reader
+ * that has gone is then SVO_IO. */
+
 /* Fails with SVO_IO when the directory is missing or not writable, or when `path` exists and !force (checked here and
  * again at commit); SVO_INVALID_ARGUMENT when `path` is "-" and stdout is a terminal. */
 svo_result fmt_output_open(const char *path, bool force, fmt_output **out, svo_error *err);
 /* An output that appends to a buffer (borrowed, not cleared; its allocator pays). Offsets count from its size at the
  * start, so an image of a file can be made in memory. Commit frees the output, discard also cuts the buffer back. */
 svo_result fmt_output_memory(svo_buffer *to, fmt_output **out, svo_error *err);
+/* An output into memory: *to is emptied and holds the bytes once committed. */
+svo_result fmt_output_open_memory(svo_buffer *to, fmt_output **out, svo_error *err);
 svo_result fmt_output_write(fmt_output *o, const void *bytes, size_t size, svo_error *err);
 /* Write zero bytes up to a multiple of `align`. */
 svo_result fmt_output_align(fmt_output *o, uint32_t align, svo_error *err);
@@ -26,14 +32,16 @@ uint64_t fmt_output_offset(const fmt_output *o);
 /* Flush, give the file its name (replacing an old one only when force was given), close and free. On failure the
  * target is as it was before. */
 svo_result fmt_output_commit(fmt_output *o, svo_error *err);
-/* Throw away and free; NULL is fine. */
+/* Throw away and free; NULL is fine. What has gone to a pipe or a device stays there. */
 void fmt_output_discard(fmt_output *o);
 
 /* A whole file, mapped read-only where it is a regular file, else read into memory (at most max_bytes, 0 = no limit;
- * more is SVO_LIMIT). 64-byte aligned. An empty file gives size 0. */
+ * more is SVO_LIMIT; a mapped file costs no memory and is not limited). 64-byte aligned.
+ * A mapped file must not be shortened by others while it is used. An empty file gives size 0. */
 typedef struct fmt_bytes {
     const uint8_t *data;
     uint64_t size;
+    uint64_t capacity; /* allocated, when not mapped */
     bool mapped;
     const svo_allocator *allocator;
 } fmt_bytes;
@@ -43,9 +51,13 @@ void fmt_bytes_close(fmt_bytes *b);
 /* A sequential input for streams that may be larger than memory. */
 typedef struct fmt_input fmt_input;
 svo_result fmt_input_open(const char *path, fmt_input **out, svo_error *err);
+/* The same over bytes in memory (borrowed). */
+svo_result fmt_input_open_memory(const void *bytes, uint64_t size, fmt_input **out, svo_error *err);
 /* Read up to size bytes; *got < size only at the end. */
 svo_result fmt_input_read(fmt_input *in, void *to, size_t size, size_t *got, svo_error *err);
 uint64_t fmt_input_offset(const fmt_input *in);
+/* For messages: the path, "stdin" or "memory". */
+const char *fmt_input_name(const fmt_input *in);
 void fmt_input_close(fmt_input *in);
 
 /* 16-byte XXH3-128 of bytes, as 32 lower-case hex digits and a NUL. */

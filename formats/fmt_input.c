@@ -1,0 +1,203 @@
+/* Inputs: mapped files, sequential streams, memory; and content hashes. */
+#define _GNU_SOURCE
+#include <errno.h>
+#include <fcntl.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+#include <xxhash.h>
+
+#include "fmt_file.h"
+
+enum { READ_SIZE = 1 << 18 };
+
+static const char *shown(const char *path) { return strcmp(path, "-") == 0 ? "stdin" : path; }
+
+static svo_result open_for_reading(const char *path, int *fd, struct stat *s, svo_error *err)
+{
+    if (path[0] == 0) return svo_fail(err, SVO_INVALID_ARGUMENT, "the name of the input is empty");
+    *fd = strcmp(path, "-") == 0 ? STDIN_FILENO : open(path, O_RDONLY | O_CLOEXEC);
+    if (*fd < 0 || fstat(*fd, s) != 0) {
+        int code = errno;
+        if (*fd > STDIN_FILENO) close(*fd);
+        return svo_fail(err, SVO_IO, "%s: cannot open: %s", shown(path), strerror(code));
+    }
+    if (S_ISDIR(s->st_mode)) {
+        if (*fd != STDIN_FILENO) close(*fd);
+        return svo_fail(err, SVO_IO, "%s is a folder, not a file", shown(path));
+    }
+    if (*fd == STDIN_FILENO && isatty(STDIN_FILENO))
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "binary data is not read from a terminal; redirect a file or name one");
+    return SVO_OK;
+}
+
+static svo_result read_some(int fd, const char *name, void *to, size_t size, size_t *got, svo_error *err)
+{
+    for (;;) {
+        ssize_t n = read(fd, to, size < (1u << 30) ? size : 1u << 30);
+        if (n >= 0) {
+            *got = (size_t)n;
+            return SVO_OK;
+        }
+        if (errno != EINTR) return svo_fail(err, SVO_IO, "%s: cannot read: %s", name, strerror(errno));
+    }
+}
+
+static svo_result read_whole(int fd, const char *name, uint64_t max_bytes, fmt_bytes *out, svo_error *err)
+{
+    svo_buffer b;
+    svo_buffer_init(&b, out->allocator);
+    for (;;) {
+        size_t got = 0;
+        if (!svo_buffer_reserve(&b, READ_SIZE)) {
+            svo_buffer_free(&b);
+            return svo_fail(err, SVO_OUT_OF_MEMORY, "%s: no memory to read more than %zu bytes", name, b.size);
+        }
+        svo_result r = read_some(fd, name, b.data + b.size, b.capacity - b.size, &got, err);
+        if (r == SVO_OK && max_bytes != 0 && b.size + got > max_bytes)
+            r = svo_fail(err, SVO_LIMIT, "%s: longer than the limit of %llu bytes for what cannot be mapped", name, (unsigned long long)max_bytes);
+        if (r != SVO_OK) {
+            svo_buffer_free(&b);
+            return r;
+        }
+        if (got == 0) break;
+        b.size += got;
+    }
+    if (b.size == 0) {
+        svo_buffer_free(&b);
+        return SVO_OK;
+    }
+    out->data = b.data;
+    out->size = b.size;
+    out->capacity = b.capacity;
+    return SVO_OK;
+}
+
+svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_allocator *a, fmt_bytes *out, svo_error *err)
+{
+    int fd = -1;
+    struct stat s;
+    SVO_TRY(open_for_reading(path, &fd, &s, err));
+    fmt_bytes b = {.allocator = a};
+    svo_result r = SVO_OK;
+    if (S_ISREG(s.st_mode) && s.st_size > 0 && (uint64_t)s.st_size <= SIZE_MAX && (fd != STDIN_FILENO || lseek(fd, 0, SEEK_CUR) == 0)) {
+        void *p = mmap(NULL, (size_t)s.st_size, PROT_READ, MAP_PRIVATE, fd, 0);
+        if (p != MAP_FAILED) {
+            b.data = p;
+            b.size = (uint64_t)s.st_size;
+            b.mapped = true;
+        }
+    }
+    if (!b.mapped) r = read_whole(fd, shown(path), max_bytes, &b, err);
+    if (fd != STDIN_FILENO) close(fd);
+    if (r == SVO_OK) *out = b;
+    return r;
+}
+
+void fmt_bytes_close(fmt_bytes *b)
+{
+    if (b == NULL || b->data == NULL) return;
+    if (b->mapped) munmap((void *)(uintptr_t)b->data, (size_t)b->size);
+    else svo_free(b->allocator, (void *)(uintptr_t)b->data, b->capacity, 1);
+    memset(b, 0, sizeof *b);
+}
+
+struct fmt_input {
+    int fd; /* -1: memory */
+    bool ended;
+    uint64_t offset;
+    const uint8_t *next; /* what has been read but not yet given */
+    uint64_t left;
+    char name[256]; /* for messages */
+    uint8_t buffer[READ_SIZE];
+};
+
+static fmt_input *input_new(int fd)
+{
+    fmt_input *in = svo_alloc(NULL, 1, sizeof *in);
+    if (in == NULL) return NULL;
+    memset(in, 0, offsetof(fmt_input, buffer));
+    in->fd = fd;
+    return in;
+}
+
+svo_result fmt_input_open(const char *path, fmt_input **out, svo_error *err)
+{
+    int fd = -1;
+    struct stat s;
+    SVO_TRY(open_for_reading(path, &fd, &s, err));
+    fmt_input *in = input_new(fd);
+    if (in == NULL) {
+        if (fd != STDIN_FILENO) close(fd);
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "%s: no memory for the input buffer", shown(path));
+    }
+    strncpy(in->name, shown(path), sizeof in->name - 1);
+    if (S_ISREG(s.st_mode)) (void)posix_fadvise(fd, 0, 0, POSIX_FADV_SEQUENTIAL);
+    *out = in;
+    return SVO_OK;
+}
+
+svo_result fmt_input_open_memory(const void *bytes, uint64_t size, fmt_input **out, svo_error *err)
+{
+    fmt_input *in = input_new(-1);
+    if (in == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the input buffer");
+    strcpy(in->name, "memory");
+    in->next = bytes;
+    in->left = size;
+    in->ended = true;
+    *out = in;
+    return SVO_OK;
+}
+
+svo_result fmt_input_read(fmt_input *in, void *to, size_t size, size_t *got, svo_error *err)
+{
+    uint8_t *p = to;
+    size_t done = 0;
+    while (done < size) {
+        if (in->left != 0) {
+            size_t n = size - done < in->left ? size - done : (size_t)in->left;
+            memcpy(p + done, in->next, n);
+            in->next += n;
+            in->left -= n;
+            done += n;
+            continue;
+        }
+        if (in->ended) break;
+        size_t n = 0;
+        bool direct = size - done >= sizeof in->buffer;
+        SVO_TRY(read_some(in->fd, in->name, direct ? p + done : in->buffer, direct ? size - done : sizeof in->buffer, &n, err));
+        if (n == 0) {
+            in->ended = true;
+        } else if (direct) {
+            done += n;
+        } else {
+            in->next = in->buffer;
+            in->left = n;
+        }
+    }
+    in->offset += done;
+    *got = done;
+    return SVO_OK;
+}
+
+uint64_t fmt_input_offset(const fmt_input *in) { return in->offset; }
+const char *fmt_input_name(const fmt_input *in) { return in->name; }
+
+void fmt_input_close(fmt_input *in)
+{
+    if (in == NULL) return;
+    if (in->fd > STDIN_FILENO) close(in->fd);
+    svo_free(NULL, in, 1, sizeof *in);
+}
+
+void fmt_hash_hex(const void *bytes, uint64_t size, char out[33])
+{
+    XXH128_canonical_t c;
+    XXH128_canonicalFromHash(&c, XXH3_128bits(size != 0 ? bytes : "", (size_t)size));
+    for (int i = 0; i < 16; i++) {
+        out[2 * i] = "0123456789abcdef"[c.digest[i] >> 4];
+        out[2 * i + 1] = "0123456789abcdef"[c.digest[i] & 15];
+    }
+    out[32] = 0;
+}
