@@ -39,12 +39,32 @@ typedef struct fmt_chunk {
 /* Four printable characters and a NUL. */
 void fmt_fourcc_text(uint32_t type, char out[5]);
 
+/* SVO_UNSUPPORTED, naming the chunk, when it is critical and its type is not among `types` (CON-09). */
+svo_result fmt_chunk_known(const fmt_chunk *chunk, const uint32_t *types, size_t count, svo_error *err);
+/* Is this an optional chunk of unknown type, to be skipped? */
+static inline bool fmt_chunk_skip(const fmt_chunk *chunk, const uint32_t *types, size_t count)
+{
+    for (size_t i = 0; i < count; i++)
+        if (types[i] == chunk->type) return false;
+    return (chunk->flags & FMT_CHUNK_CRITICAL) == 0;
+}
+
+/* An error about a place in a file: "chunk TREE at byte 4096: what (CON-07)"; sets chunk, offset. Returns code. */
+svo_result fmt_chunk_fail(svo_error *err, svo_result code, uint32_t type, uint64_t offset, const char *format, ...) SVO_PRINTF(5, 6);
+
+#define FMT_TYPE_META FMT_FOURCC('M', 'E', 'T', 'A')
+#define FMT_TYPE_TABLE FMT_FOURCC('T', 'A', 'B', 'L')
+/* Longest META text that readers take, bytes. */
+#define FMT_META_MAX ((uint64_t)1 << 24)
+
 /* --- writing: strictly sequential, so pipes get the same bytes as files --- */
 typedef struct fmt_writer fmt_writer;
 svo_result fmt_writer_begin(fmt_output *out, fmt_kind kind, uint16_t major, uint16_t minor, fmt_writer **writer, svo_error *err);
 /* Fills offset and hash of *chunk and writes header and payload. `stored` are the bytes as they go into the file,
  * already compressed if codec says so. type, flags, codec, stored_size, decoded_size, element_*, id are the caller's. */
 svo_result fmt_writer_chunk(fmt_writer *w, fmt_chunk *chunk, const void *stored, svo_error *err);
+/* A META chunk with this JSON text; nothing when it is NULL or empty. SVO_INVALID_ARGUMENT when it is not a JSON object. */
+svo_result fmt_writer_meta(fmt_writer *w, const char *json, svo_error *err);
 /* Table and footer. The output itself is committed by the caller. Frees the writer in any case. */
 svo_result fmt_writer_end(fmt_writer *w, svo_error *err);
 void fmt_writer_discard(fmt_writer *w);
@@ -69,6 +89,12 @@ const fmt_chunk *fmt_container_find(const fmt_container *c, uint32_t type, bool 
 /* Checks the hash of a stored chunk (codec NONE) and returns its bytes in place; SVO_INVALID_DATA on a mismatch. */
 svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err);
 
+/* The text of the META chunk, NUL-terminated ("" when there is none), checked (CON-12). Freed with fmt_meta_free. */
+svo_result fmt_container_meta(const fmt_container *c, const svo_allocator *a, char **text, svo_error *err);
+void fmt_meta_free(const svo_allocator *a, char *text);
+/* Check a META payload (CON-12) and copy it to a NUL-terminated text. */
+svo_result fmt_meta_text(const fmt_chunk *chunk, const uint8_t *bytes, uint64_t size, const svo_allocator *a, char **text, svo_error *err);
+
 /* --- reading a stream (a pipe, or a file too large to map) --- */
 typedef struct fmt_stream fmt_stream;
 svo_result fmt_stream_open(fmt_input *in, const svo_allocator *a, fmt_stream **out, fmt_kind *kind, uint16_t *major, svo_error *err);
@@ -77,12 +103,18 @@ svo_result fmt_stream_next(fmt_stream *s, fmt_chunk *chunk, bool *more, svo_erro
 /* Its payload (exactly once after next, or it is skipped but still hashed); hash checked; replaces *to. The size is
  * believed only as far as bytes really arrive. */
 svo_result fmt_stream_payload(fmt_stream *s, const fmt_chunk *chunk, svo_buffer *to, svo_error *err);
+/* After next has said that there is no more: the footer's content hash. */
+void fmt_stream_content_hash(const fmt_stream *s, uint8_t out[16]);
 void fmt_stream_close(fmt_stream *s);
 
-/* zstd, for chunk payloads. Decoding demands exactly decoded_size bytes and never allocates more. Encoding is
- * deterministic for a level. */
-svo_result fmt_zstd_encode(const void *bytes, size_t size, int level, svo_buffer *to, svo_error *err);
-svo_result fmt_zstd_decode(const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err);
+/* zstd, for chunk payloads. A pool keeps contexts for reuse by any thread. Decoding demands one frame that holds
+ * exactly decoded_size bytes, replaces *to and never allocates more; encoding is deterministic for a level and
+ * replaces *to. pool may be NULL (a context is made for the call). */
+typedef struct fmt_zstd_pool fmt_zstd_pool;
+svo_result fmt_zstd_pool_new(fmt_zstd_pool **out, svo_error *err);
+void fmt_zstd_pool_free(fmt_zstd_pool *p);
+svo_result fmt_zstd_encode(fmt_zstd_pool *p, const void *bytes, size_t size, int level, svo_buffer *to, svo_error *err);
+svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err);
 
 /* Explicit little-endian loads and stores. */
 static inline uint16_t fmt_load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }
