@@ -1,0 +1,303 @@
+/* .svo reader over a sequential input. fetch takes stored bytes in order, decode does the work and may run in parallel. */
+#include <pthread.h>
+#include <string.h>
+
+#include "fmti_svo.h"
+
+struct fmt_svo_reader {
+    fmt_stream *stream;
+    fmt_zstd_pool *pool;
+    const svo_allocator *allocator;
+    svo_tree_info info;
+    char *provenance;
+    uint32_t voxel_bytes;
+    uint64_t previous; /* code of the last chunk fetched */
+    svo_tree_counts fetched; /* chunks and levels above the cut, and finest voxels as the chunk headers say */
+    svo_tree_counts stat;
+    bool has_stat, ended;
+    fmt_chunk stat_chunk;
+    /* What decode has seen. STAT is compared by whoever comes last, the end of the stream or the last decode. */
+    pthread_mutex_t lock;
+    svo_tree_counts decoded;
+};
+
+static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_TREE, FMTI_SVO_STAT, FMT_TYPE_META};
+enum { KNOWN = sizeof known_types / sizeof known_types[0] };
+
+/* "SVDAG", not the four bytes, for people. */
+static const char *kind_name(fmt_kind kind)
+{
+    switch (kind) {
+    case FMT_KIND_SVO: return ".svo";
+    case FMT_KIND_SVDAG: return ".svdag";
+    case FMT_KIND_SKEL: return ".skel";
+    case FMT_KIND_SCENE: return ".svscene";
+    }
+    return "unknown";
+}
+
+static svo_result need(const fmt_chunk *c, uint16_t codec, svo_error *err)
+{
+    if ((c->flags & FMT_CHUNK_CRITICAL) == 0 || c->codec != codec || c->element_stride != 0 || (c->type != FMTI_SVO_TREE && (c->id != 0 || c->element_count != 0)))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "wrong flags, codec, id or element fields (SVO-01)");
+    return SVO_OK;
+}
+
+static svo_result read_head(fmt_svo_reader *r, svo_error *err)
+{
+    fmt_chunk c = {0};
+    bool more = false;
+    do { /* optional chunks of later versions may come first */
+        SVO_TRY(fmt_stream_next(r->stream, &c, &more, err));
+        if (more) SVO_TRY(fmt_chunk_known(&c, known_types, KNOWN, err));
+    } while (more && fmt_chunk_skip(&c, known_types, KNOWN));
+    if (!more) return svo_fail(err, SVO_INVALID_DATA, "the file has no HEAD chunk (SVO-01)");
+    if (c.type != FMTI_SVO_HEAD) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "HEAD must come first (SVO-01)");
+    SVO_TRY(need(&c, FMT_CODEC_NONE, err));
+    if (c.stored_size > FMTI_SVO_HEAD_MAX) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "too long (SVO-02)");
+    svo_buffer b;
+    svo_buffer_init(&b, r->allocator);
+    svo_result result = fmt_stream_payload(r->stream, &c, &b, err);
+    if (result == SVO_OK) result = fmti_parse_head(&c, b.data, b.size, &r->info, err);
+    svo_buffer_free(&b);
+    return result;
+}
+
+svo_result fmt_svo_reader_open(fmt_input *in, const svo_allocator *a, fmt_svo_reader **out, svo_error *err)
+{
+    fmt_svo_reader *r = svo_calloc(a, 1, sizeof *r);
+    if (r == NULL || pthread_mutex_init(&r->lock, NULL) != 0) {
+        svo_free(a, r, 1, sizeof *r);
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a .svo reader");
+    }
+    r->allocator = a;
+    fmt_kind kind = FMT_KIND_SVO;
+    uint16_t major;
+    svo_result result = fmt_stream_open(in, a, &r->stream, &kind, &major, err);
+    if (result == SVO_OK && kind != FMT_KIND_SVO) result = svo_fail(err, SVO_INVALID_DATA, "this is a %s file; a .svo is needed here", kind_name(kind));
+    if (result == SVO_OK) result = fmt_zstd_pool_new(&r->pool, err);
+    if (result == SVO_OK) result = read_head(r, err);
+    if (result != SVO_OK) {
+        fmt_svo_reader_close(r);
+        return result;
+    }
+    r->voxel_bytes = fmti_voxel_bytes(&r->info);
+    *out = r;
+    return SVO_OK;
+}
+
+const svo_tree_info *fmt_svo_reader_info(const fmt_svo_reader *r) { return &r->info; }
+const char *fmt_svo_reader_provenance(const fmt_svo_reader *r) { return r->provenance != NULL ? r->provenance : ""; }
+const svo_tree_counts *fmt_svo_reader_counts(const fmt_svo_reader *r) { return &r->stat; }
+void fmt_svo_reader_content_hash(const fmt_svo_reader *r, uint8_t out[16]) { fmt_stream_content_hash(r->stream, out); }
+
+static svo_result stat_fail(const fmt_svo_reader *r, const char *what, uint64_t stat, uint64_t seen, svo_error *err)
+{
+    return fmt_chunk_fail(err, SVO_INVALID_DATA, FMTI_SVO_STAT, r->stat_chunk.offset, "it states %llu %s, the file has %llu (SVO-08)",
+                          (unsigned long long)stat, what, (unsigned long long)seen);
+}
+
+/* Call with the lock held, when the stream has ended and all its chunks have been decoded. */
+static svo_result compare_levels(const fmt_svo_reader *r, svo_error *err)
+{
+    char what[32] = "nodes of level ";
+    for (uint32_t l = svo_chunk_level(r->info.depth); l <= r->info.depth; l++) {
+        if (r->stat.nodes[l] == r->decoded.nodes[l]) continue;
+        what[15] = (char)('0' + l / 10);
+        what[16] = (char)('0' + l % 10);
+        return stat_fail(r, what, r->stat.nodes[l], r->decoded.nodes[l], err);
+    }
+    return SVO_OK;
+}
+
+static svo_result read_stat(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *scratch, svo_error *err)
+{
+    SVO_TRY(need(c, FMT_CODEC_NONE, err));
+    if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "a second STAT (SVO-01)");
+    if (c->stored_size != 8 * ((uint64_t)r->info.depth + 2))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "%llu bytes for depth %u (SVO-08)", (unsigned long long)c->stored_size, r->info.depth);
+    SVO_TRY(fmt_stream_payload(r->stream, c, scratch, err));
+    r->has_stat = true;
+    r->stat_chunk = *c;
+    r->stat.chunks = fmt_load64(scratch->data);
+    for (uint32_t l = 0; l <= r->info.depth; l++) r->stat.nodes[l] = fmt_load64(scratch->data + 8 + 8 * l);
+    if (r->stat.chunks != r->fetched.chunks) return stat_fail(r, "chunks", r->stat.chunks, r->fetched.chunks, err);
+    for (uint32_t l = 0; l < svo_chunk_level(r->info.depth); l++)
+        if (r->stat.nodes[l] != r->fetched.nodes[l]) return stat_fail(r, "nodes above the chunks", r->stat.nodes[l], r->fetched.nodes[l], err);
+    if (r->stat.nodes[r->info.depth] != r->fetched.nodes[r->info.depth])
+        return stat_fail(r, "finest voxels", r->stat.nodes[r->info.depth], r->fetched.nodes[r->info.depth], err);
+    return SVO_OK;
+}
+
+static svo_result read_meta(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *scratch, svo_error *err)
+{
+    if (!r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "META before STAT (SVO-01)");
+    if (r->provenance != NULL) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "a second META chunk (CON-12)");
+    if (c->stored_size > FMT_META_MAX) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "longer than 16 MiB (CON-12)");
+    SVO_TRY(fmt_stream_payload(r->stream, c, scratch, err));
+    return fmt_meta_text(c, scratch->data, scratch->size, r->allocator, &r->provenance, err);
+}
+
+/* A TREE chunk's header against what is known, before its bytes are read: SVO-05, SVO-06. */
+static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
+{
+    uint64_t at = c->offset - 64;
+    uint32_t level = svo_chunk_level(r->info.depth), levels = r->info.depth - level;
+    SVO_TRY(need(c, FMT_CODEC_ZSTD, err));
+    if (c->id >> 3 * level != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the grid (SVO-05)", (unsigned long long)c->id);
+    if (r->fetched.chunks != 0 && c->id <= r->previous)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)c->id, (unsigned long long)r->previous);
+    uint64_t voxels = c->element_count, most_voxels = (uint64_t)1 << 3 * levels, most_masks = (most_voxels - 1) / 7;
+    if (voxels == 0 || voxels > most_voxels) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu voxels in a chunk (SVO-06)", (unsigned long long)voxels);
+    uint64_t rest = 16 + voxels * r->voxel_bytes;
+    if (c->decoded_size < rest || c->decoded_size - rest > most_masks)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu bytes for %llu voxels (SVO-06)", (unsigned long long)c->decoded_size, (unsigned long long)voxels);
+    return SVO_OK;
+}
+
+static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
+{
+    if (!r->has_stat) return svo_fail(err, SVO_INVALID_DATA, "the file has no STAT chunk (SVO-01)");
+    svo_result result = SVO_OK;
+    pthread_mutex_lock(&r->lock);
+    if (!r->ended && r->decoded.chunks == r->fetched.chunks) result = compare_levels(r, err);
+    r->ended = true;
+    pthread_mutex_unlock(&r->lock);
+    return result;
+}
+
+static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *err)
+{
+    fmt_svo_reader *r = user;
+    for (;;) {
+        fmt_chunk c;
+        bool any = false;
+        SVO_TRY(fmt_stream_next(r->stream, &c, &any, err));
+        if (!any) {
+            *more = false;
+            return fetch_end(r, err);
+        }
+        SVO_TRY(fmt_chunk_known(&c, known_types, KNOWN, err));
+        if (c.type == FMTI_SVO_HEAD) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "a second HEAD (SVO-01)");
+        if (c.type == FMTI_SVO_STAT) {
+            SVO_TRY(read_stat(r, &c, packed, err));
+        } else if (c.type == FMT_TYPE_META) {
+            SVO_TRY(read_meta(r, &c, packed, err));
+        } else if (c.type == FMTI_SVO_TREE) {
+            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "TREE after STAT (SVO-01)");
+            SVO_TRY(check_tree(r, &c, err));
+            SVO_TRY(fmt_stream_payload(r->stream, &c, packed, err));
+            /* the chunk's description travels behind its bytes */
+            if (svo_buffer_append(packed, &c, sizeof c) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+            svo_counts_ancestors(&r->fetched, svo_chunk_level(r->info.depth), r->fetched.chunks != 0, r->previous, c.id);
+            r->fetched.nodes[r->info.depth] += c.element_count;
+            r->previous = c.id;
+            pthread_mutex_lock(&r->lock);
+            r->fetched.chunks++;
+            pthread_mutex_unlock(&r->lock);
+            *more = true;
+            return SVO_OK;
+        }
+    }
+}
+
+static void from_planes(const uint8_t *planes, uint64_t count, uint32_t stride, uint8_t *values)
+{
+    for (uint32_t b = 0; b < stride; b++) {
+        const uint8_t *plane = planes + b * count;
+        for (uint64_t i = 0; i < count; i++) values[i * stride + b] = plane[i];
+    }
+}
+
+/* Does a normal hold -32768? planes: low and high bytes of u, then of v. */
+static bool bad_normals(const uint8_t *planes, uint64_t count)
+{
+    uint8_t bad = 0;
+    const uint8_t *ul = planes, *uh = planes + count, *vl = planes + 2 * count, *vh = planes + 3 * count;
+    for (uint64_t i = 0; i < count; i++)
+        bad |= (uint8_t)((ul[i] == 0 && uh[i] == 0x80) || (vl[i] == 0 && vh[i] == 0x80));
+    return bad != 0;
+}
+
+/* Point *out into the decoded payload; channel values go to storage behind it. */
+static svo_result unpack(const svo_tree_info *info, const fmt_chunk *c, svo_buffer *storage, svo_chunk *out, svo_error *err)
+{
+    uint64_t at = c->offset - 64, masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8), values = 16 + masks;
+    svo_chunk n = {.code = c->id, .level = svo_chunk_level(info->depth), .depth = info->depth, .node_count = masks, .voxel_count = voxels};
+    uint64_t to = (c->decoded_size + 63) / 64 * 64;
+    n.masks = storage->data + 16;
+    for (uint32_t i = 0; i < info->channel_count; i++) {
+        const svo_channel *channel = &info->channels[i];
+        if (channel->constant) continue;
+        uint32_t stride = svo_channel_stride(channel->kind);
+        const uint8_t *planes = storage->data + values;
+        if (channel->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(planes, voxels))
+            return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)c->id);
+        if (stride == 1) { /* one plane is the values */
+            n.channels[i] = planes;
+        } else {
+            from_planes(planes, voxels, stride, storage->data + to);
+            n.channels[i] = storage->data + to;
+            to += (stride * voxels + 7) / 8 * 8;
+        }
+        values += stride * voxels;
+    }
+    *out = n;
+    return SVO_OK;
+}
+
+/* Room behind the payload for the channels of stride > 1. */
+static uint64_t unpacked_size(const svo_tree_info *info, const fmt_chunk *c)
+{
+    uint64_t size = (c->decoded_size + 63) / 64 * 64;
+    for (uint32_t i = 0; i < info->channel_count; i++)
+        if (!info->channels[i].constant) size += (svo_channel_stride(info->channels[i].kind) * c->element_count + 7) / 8 * 8;
+    return size;
+}
+
+static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
+{
+    fmt_svo_reader *r = user;
+    fmt_chunk c;
+    SVO_ASSERT(packed->size >= sizeof c);
+    size_t stored = packed->size - sizeof c;
+    memcpy(&c, packed->data + stored, sizeof c);
+    uint64_t at = c.offset - 64, size = unpacked_size(&r->info, &c);
+    storage->size = 0;
+    if (!svo_buffer_reserve(storage, (size_t)size + 1))
+        return fmt_chunk_fail(err, SVO_OUT_OF_MEMORY, c.type, at, "no memory for %llu decoded bytes", (unsigned long long)size);
+    svo_error inner = {0};
+    svo_result result = fmt_zstd_decode(r->pool, packed->data, stored, c.decoded_size, storage, &inner);
+    if (result != SVO_OK) return fmt_chunk_fail(err, result, c.type, at, "%s", inner.message);
+    uint64_t masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8);
+    if (voxels != c.element_count || masks != c.decoded_size - 16 - voxels * r->voxel_bytes)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%llu masks and %llu voxels do not make %llu bytes (SVO-06)", (unsigned long long)masks,
+                              (unsigned long long)voxels, (unsigned long long)c.decoded_size);
+    svo_chunk n;
+    svo_tree_counts counts = {0};
+    SVO_TRY(unpack(&r->info, &c, storage, &n, err));
+    if (svo_chunk_check(&r->info, &n, &counts, &inner) != SVO_OK) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%s (SVO-07)", inner.message);
+    pthread_mutex_lock(&r->lock);
+    r->decoded.chunks++;
+    for (uint32_t l = n.level; l <= n.depth; l++) r->decoded.nodes[l] += counts.nodes[l];
+    if (r->ended && r->decoded.chunks == r->fetched.chunks) result = compare_levels(r, err);
+    pthread_mutex_unlock(&r->lock);
+    if (result == SVO_OK) *out = n;
+    return result;
+}
+
+svo_chunk_source fmt_svo_reader_source(fmt_svo_reader *r)
+{
+    svo_chunk_source s = {r, fetch, decode};
+    return s;
+}
+
+void fmt_svo_reader_close(fmt_svo_reader *r)
+{
+    if (r == NULL) return;
+    fmt_stream_close(r->stream);
+    fmt_zstd_pool_free(r->pool);
+    fmt_meta_free(r->allocator, r->provenance);
+    pthread_mutex_destroy(&r->lock);
+    svo_free(r->allocator, r, 1, sizeof *r);
+}

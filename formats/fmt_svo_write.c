@@ -1,0 +1,192 @@
+/* .svo writer: chunks are laid out and compressed by any thread and written in order. */
+#include <string.h>
+
+#include "fmti_svo.h"
+
+struct fmt_svo_writer {
+    fmt_writer *writer;
+    fmt_zstd_pool *pool;
+    const svo_allocator *allocator;
+    svo_tree_info info;
+    char *provenance;
+    int level;
+    uint32_t voxel_bytes;
+    svo_tree_counts counts;
+    uint64_t previous; /* code of the last chunk written */
+};
+
+typedef struct blob {
+    fmt_chunk chunk;
+    svo_tree_counts counts; /* of this chunk alone */
+    svo_buffer stored;
+} blob;
+
+svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, const char *provenance, int level, const svo_allocator *a,
+                                fmt_svo_writer **writer, svo_error *err)
+{
+    const char *why = fmti_check_info(info);
+    if (why != NULL) return svo_fail(err, SVO_INVALID_ARGUMENT, "the octree cannot be written: %s", why);
+    fmt_svo_writer *w = svo_calloc(a, 1, sizeof *w);
+    if (w == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a .svo writer");
+    w->allocator = a;
+    w->info = *info;
+    w->level = level != 0 ? level : 3;
+    w->voxel_bytes = fmti_voxel_bytes(info);
+    svo_result r = SVO_OK;
+    if (provenance != NULL && provenance[0] != 0) {
+        size_t n = strlen(provenance) + 1;
+        w->provenance = svo_alloc(a, n, 1);
+        if (w->provenance != NULL) memcpy(w->provenance, provenance, n);
+        else r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance");
+    }
+    if (r == SVO_OK) r = fmt_zstd_pool_new(&w->pool, err);
+    if (r == SVO_OK) r = fmt_writer_begin(out, FMT_KIND_SVO, 1, 0, &w->writer, err);
+    if (r == SVO_OK) {
+        uint8_t head[FMTI_SVO_HEAD_MAX];
+        size_t size = fmti_store_head(info, head);
+        fmt_chunk c = {.type = FMTI_SVO_HEAD, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
+        r = fmt_writer_chunk(w->writer, &c, head, err);
+    }
+    if (r != SVO_OK) {
+        fmt_svo_writer_discard(w);
+        return r;
+    }
+    *writer = w;
+    return SVO_OK;
+}
+
+/* Values of one channel to byte planes. */
+static void to_planes(const uint8_t *values, uint64_t count, uint32_t stride, uint8_t *planes)
+{
+    for (uint32_t b = 0; b < stride; b++) {
+        uint8_t *plane = planes + b * count;
+        for (uint64_t i = 0; i < count; i++) plane[i] = values[i * stride + b];
+    }
+}
+
+static bool bad_normals(const uint8_t *v, uint64_t count)
+{
+    bool bad = false;
+    for (uint64_t i = 0; i < 2 * count; i++) bad |= v[2 * i] == 0 && v[2 * i + 1] == 0x80;
+    return bad;
+}
+
+static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, svo_error *err)
+{
+    const svo_tree_info *info = &w->info;
+    SVO_TRY(svo_chunk_check(info, chunk, &b->counts, err));
+    uint64_t size = 16 + chunk->node_count + chunk->voxel_count * w->voxel_bytes;
+    uint8_t *plain = svo_alloc(w->allocator, size, 1);
+    if (plain == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to lay out a chunk of %llu bytes", (unsigned long long)size);
+    fmt_store64(plain, chunk->node_count);
+    fmt_store64(plain + 8, chunk->voxel_count);
+    uint8_t *at = plain + 16;
+    if (chunk->node_count != 0) memcpy(at, chunk->masks, (size_t)chunk->node_count);
+    at += chunk->node_count;
+    svo_result r = SVO_OK;
+    for (uint32_t i = 0; i < info->channel_count && r == SVO_OK; i++) {
+        const svo_channel *c = &info->channels[i];
+        if (c->constant) continue;
+        uint32_t stride = svo_channel_stride(c->kind);
+        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->voxel_count))
+            r = svo_fail(err, SVO_INVALID_DATA, "chunk %llx: a normal holds -32768 (SVO-09)", (unsigned long long)chunk->code);
+        to_planes(chunk->channels[i], chunk->voxel_count, stride, at);
+        at += stride * chunk->voxel_count;
+    }
+    if (r == SVO_OK) r = fmt_zstd_encode(w->pool, plain, (size_t)size, w->level, &b->stored, err);
+    svo_free(w->allocator, plain, size, 1);
+    if (r != SVO_OK) return r;
+    b->chunk = (fmt_chunk){.type = FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL, .codec = FMT_CODEC_ZSTD, .stored_size = b->stored.size,
+                           .decoded_size = size, .element_count = chunk->voxel_count, .id = chunk->code};
+    return SVO_OK;
+}
+
+static void discard_blob(void *user, void *p)
+{
+    fmt_svo_writer *w = user;
+    blob *b = p;
+    if (b == NULL) return;
+    svo_buffer_free(&b->stored);
+    svo_free(w->allocator, b, 1, sizeof *b);
+}
+
+static svo_result encode(void *user, const svo_chunk *chunk, uint32_t worker, void **out, svo_error *err)
+{
+    (void)worker;
+    fmt_svo_writer *w = user;
+    blob *b = svo_calloc(w->allocator, 1, sizeof *b);
+    if (b == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    svo_buffer_init(&b->stored, w->allocator);
+    svo_result r = fill_blob(w, chunk, b, err);
+    if (r != SVO_OK) {
+        discard_blob(w, b);
+        return r;
+    }
+    /* Many encoded chunks may wait to be written: keep what they need, not what compression might have needed. */
+    if (b->stored.capacity - b->stored.size > b->stored.capacity / 4) {
+        svo_buffer exact;
+        svo_buffer_init(&exact, w->allocator);
+        if (svo_buffer_append(&exact, b->stored.data, b->stored.size) != NULL) {
+            svo_buffer_free(&b->stored);
+            b->stored = exact;
+        }
+    }
+    *out = b;
+    return SVO_OK;
+}
+
+static svo_result commit(void *user, void *p, svo_error *err)
+{
+    fmt_svo_writer *w = user;
+    blob *b = p;
+    svo_result r = SVO_OK;
+    if (w->counts.chunks != 0 && b->chunk.id <= w->previous)
+        r = svo_fail(err, SVO_RUNTIME, "chunks were given out of order: %llx after %llx", (unsigned long long)b->chunk.id, (unsigned long long)w->previous);
+    if (r == SVO_OK) r = fmt_writer_chunk(w->writer, &b->chunk, b->stored.data, err);
+    if (r == SVO_OK) {
+        uint32_t level = svo_chunk_level(w->info.depth);
+        svo_counts_ancestors(&w->counts, level, w->counts.chunks != 0, w->previous, b->chunk.id);
+        for (uint32_t l = level; l <= w->info.depth; l++) w->counts.nodes[l] += b->counts.nodes[l];
+        w->counts.chunks++;
+        w->previous = b->chunk.id;
+    }
+    discard_blob(w, b);
+    return r;
+}
+
+svo_chunk_sink fmt_svo_writer_sink(fmt_svo_writer *w)
+{
+    svo_chunk_sink s = {w, encode, commit, discard_blob};
+    return s;
+}
+
+static svo_result finish(fmt_svo_writer *w, svo_error *err)
+{
+    uint8_t stat[8 * (SVO_MAX_DEPTH + 2)];
+    uint64_t size = 8 * ((uint64_t)w->info.depth + 2);
+    fmt_store64(stat, w->counts.chunks);
+    for (uint32_t l = 0; l <= w->info.depth; l++) fmt_store64(stat + 8 + 8 * l, w->counts.nodes[l]);
+    fmt_chunk c = {.type = FMTI_SVO_STAT, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
+    SVO_TRY(fmt_writer_chunk(w->writer, &c, stat, err));
+    SVO_TRY(fmt_writer_meta(w->writer, w->provenance, err));
+    fmt_writer *writer = w->writer;
+    w->writer = NULL;
+    return fmt_writer_end(writer, err);
+}
+
+svo_result fmt_svo_writer_end(fmt_svo_writer *w, svo_tree_counts *counts, svo_error *err)
+{
+    svo_result r = finish(w, err);
+    if (r == SVO_OK && counts != NULL) *counts = w->counts;
+    fmt_svo_writer_discard(w);
+    return r;
+}
+
+void fmt_svo_writer_discard(fmt_svo_writer *w)
+{
+    if (w == NULL) return;
+    fmt_writer_discard(w->writer);
+    fmt_zstd_pool_free(w->pool);
+    if (w->provenance != NULL) svo_free(w->allocator, w->provenance, strlen(w->provenance) + 1, 1);
+    svo_free(w->allocator, w, 1, sizeof *w);
+}

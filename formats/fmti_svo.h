@@ -1,0 +1,27 @@
+/* Shared by the .svo writer and reader. Not installed. */
+#ifndef FMTI_SVO_H
+#define FMTI_SVO_H
+
+#include "fmt_svo.h"
+
+#define FMTI_SVO_HEAD FMT_FOURCC('H', 'E', 'A', 'D')
+#define FMTI_SVO_TREE FMT_FOURCC('T', 'R', 'E', 'E')
+#define FMTI_SVO_STAT FMT_FOURCC('S', 'T', 'A', 'T')
+
+enum { FMTI_SVO_HEAD_FIXED = 144, FMTI_SVO_CHANNEL_RECORD = 32, FMTI_SVO_HEAD_MAX = 144 + 32 * 16 };
+
+/* Channel record of 32 bytes, used by .svo and .svdag. Parsing checks SVO-04 but for equal names. */
+void fmti_store_channel(const svo_channel *c, uint8_t *bytes);
+/* NULL when it is good, else why not. */
+const char *fmti_parse_channel(const uint8_t *bytes, svo_channel *c);
+/* SVO-02, SVO-03, SVO-04 on a struct; NULL when it is good, else why not, with the rule. */
+const char *fmti_check_info(const svo_tree_info *info);
+
+/* HEAD; to has FMTI_SVO_HEAD_MAX bytes. Returns its size. */
+size_t fmti_store_head(const svo_tree_info *info, uint8_t *to);
+svo_result fmti_parse_head(const fmt_chunk *chunk, const uint8_t *bytes, uint64_t size, svo_tree_info *info, svo_error *err);
+
+/* Bytes of all channels that are not constant, one voxel. */
+uint32_t fmti_voxel_bytes(const svo_tree_info *info);
+
+#endif
