@@ -1,0 +1,395 @@
+#include "svo_raycast.h"
+
+#include <math.h>
+#include <string.h>
+
+/* The kernel walks cells front to back (after Laine and Karras 2010): the current cell is a child slot of the node `ref` of
+ * some level; a filled slot is entered, an empty one is left through its nearest far plane. Positions are integers, so
+ * the ancestor to return to is known from the highest bit that a step changes. The last two levels are one 64-bit brick
+ * with its own small walk. Every decision compares plane parameters of one function (svo_raycast.h), whose values
+ * grow along the ray; this is what makes the result exact rather than nearly right. */
+
+#define INLINE static inline __attribute__((always_inline))
+
+/* A ray made ready for one view. */
+typedef struct line {
+    double o[3], inv[3];
+    double base, unit; /* the caller's t is (t + base) * unit: see make_line */
+    double t_min, t_max, spread, offset;
+    uint32_t negative; /* bit k: direction[k] < 0 */
+} line;
+
+typedef struct place {
+    uint32_t tree_level; /* level in the tree of svo_view.tree_depth */
+    int32_t corner[3];   /* in finest voxels */
+} place;
+
+INLINE double plane(const line *l, int axis, int32_t p) { return ((double)p - l->o[axis]) * l->inv[axis]; }
+INLINE double least(double a, double b, double c)
+{
+    double m = a < b ? a : b;
+    return m < c ? m : c;
+}
+INLINE double greatest(double a, double b, double c)
+{
+    double m = a > b ? a : b;
+    return m > c ? m : c;
+}
+
+/* Near and far planes of a cell. */
+INLINE double near_plane(const line *l, int axis, int32_t p, int32_t size)
+{
+    return plane(l, axis, l->negative >> axis & 1 ? p + size : p);
+}
+INLINE double far_plane(const line *l, int axis, int32_t p, int32_t size)
+{
+    return plane(l, axis, l->negative >> axis & 1 ? p : p + size);
+}
+INLINE double cell_enter(const line *l, const int32_t p[3], int32_t size)
+{
+    return greatest(near_plane(l, 0, p[0], size), near_plane(l, 1, p[1], size), near_plane(l, 2, p[2], size));
+}
+
+static bool make_line(const svo_view *v, const svo_ray *ray, line *l)
+{
+    if (v->empty) return false;
+    double origin[3], direction[3], big = 0, far = 0;
+    for (int k = 0; k < 3; k++) {
+        origin[k] = ray->origin[k], direction[k] = ray->direction[k];
+        if (!isfinite(origin[k]) || !isfinite(direction[k])) return false;
+        big = fmax(big, fabs(direction[k]));
+        far = fmax(far, fabs(origin[k]));
+    }
+    l->base = 0, l->unit = 1;
+    l->t_min = ray->t_min, l->t_max = ray->t_max;
+    l->spread = v->lod ? ray->spread : 0, l->offset = v->lod ? ray->offset : 0;
+    if (big > 0 && (big < 0x1p-300 || big > 0x1p300)) {
+        /* Reciprocals would overflow or lose bits; a power of two costs none. */
+        int e;
+        frexp(big, &e);
+        for (int k = 0; k < 3; k++) direction[k] = ldexp(direction[k], -e);
+        l->unit = ldexp(1, -e);
+        l->t_min /= l->unit, l->t_max /= l->unit, l->spread *= l->unit;
+    }
+    if (far > 0x1p40 && big > 0) {
+        /* p - origin would lose the cells: begin where the ray comes to the grid. */
+        double size = (double)((int32_t)1 << v->tree_depth), enter = -INFINITY;
+        for (int k = 0; k < 3; k++)
+            if (direction[k] != 0) {
+                double t = ((direction[k] > 0 ? 0 : size) - origin[k]) / direction[k];
+                if (isfinite(t)) enter = fmax(enter, t);
+            }
+        if (isfinite(enter)) {
+            for (int k = 0; k < 3; k++) {
+                origin[k] += direction[k] * enter;
+                if (!isfinite(origin[k])) return false;
+            }
+            l->base = enter;
+            l->t_min -= enter, l->t_max -= enter;
+            l->offset += l->spread * enter;
+        }
+    }
+    l->negative = 0;
+    for (int k = 0; k < 3; k++) {
+        double inv = 1 / direction[k];
+        if (!isfinite(inv)) {
+            /* Parallel to the planes: -infinity for those at or below the origin, +infinity for those above, never 0 * infinity. */
+            l->o[k] = floor(origin[k]) + 0.5;
+            l->inv[k] = INFINITY;
+        } else {
+            l->o[k] = origin[k];
+            l->inv[k] = inv;
+            if (direction[k] < 0) l->negative |= 1u << k;
+        }
+    }
+    return true;
+}
+
+/* Morton bits of a coordinate 0..3 of a brick. */
+static const uint8_t brick_x[4] = {0, 1, 8, 9}, brick_y[4] = {0, 2, 16, 18}, brick_z[4] = {0, 4, 32, 36};
+
+/* First voxel of a brick met at or after t. On success *bit is its Morton bit. `leave` are the brick's far planes. */
+INLINE bool walk_brick(const line *l, uint64_t brick, const int32_t p[3], double t, const double leave[3], uint32_t *bit)
+{
+    /* far planes of the four slabs of an axis, in the ray's order */
+    double slab[3][4];
+    uint32_t i[3];
+    for (int k = 0; k < 3; k++) {
+        bool down = l->negative >> k & 1;
+        slab[k][0] = plane(l, k, down ? p[k] + 3 : p[k] + 1);
+        slab[k][1] = plane(l, k, p[k] + 2);
+        slab[k][2] = plane(l, k, down ? p[k] + 1 : p[k] + 3);
+        slab[k][3] = leave[k];
+        i[k] = (uint32_t)(slab[k][0] <= t) + (uint32_t)(slab[k][1] <= t) + (uint32_t)(slab[k][2] <= t);
+    }
+    const uint32_t flip = l->negative * 9; /* mirrors both bits of an axis */
+    for (;;) {
+        uint32_t b = (uint32_t)(brick_x[i[0]] | brick_y[i[1]] | brick_z[i[2]]) ^ flip;
+        double x = slab[0][i[0]], y = slab[1][i[1]], z = slab[2][i[2]], next = least(x, y, z);
+        if ((brick >> b & 1) && t < next) {
+            *bit = b;
+            return t <= l->t_max;
+        }
+        t = next;
+        i[0] += x <= t, i[1] += y <= t, i[2] += z <= t;
+        if ((i[0] | i[1] | i[2]) & 4) return false;
+    }
+}
+
+/* The non-empty children of one node in the order of the ray. */
+typedef struct eight {
+    double centre[3], leave[3], t;
+    int32_t corner[3], half;
+    uint32_t mask, at; /* at: child to look at next, bit k = the further half of axis k; 8 = done */
+} eight;
+
+static eight eight_begin(const line *l, uint32_t mask, const int32_t corner[3], int32_t half, double t, const double leave[3])
+{
+    eight e = {.t = t, .half = half, .mask = mask, .at = 0};
+    for (int k = 0; k < 3; k++) {
+        e.corner[k] = corner[k];
+        e.leave[k] = leave[k];
+        e.centre[k] = plane(l, k, corner[k] + half);
+        e.at |= (uint32_t)(e.centre[k] <= t) << k;
+    }
+    return e;
+}
+
+static bool eight_next(const line *l, eight *e, uint32_t *octant, double *t, int32_t corner[3], double leave[3])
+{
+    while (e->at != 8) {
+        uint32_t at = e->at, step = 0;
+        for (int k = 0; k < 3; k++) leave[k] = at >> k & 1 ? e->leave[k] : e->centre[k];
+        double enter = e->t, next = least(leave[0], leave[1], leave[2]);
+        for (int k = 0; k < 3; k++) step |= (uint32_t)(leave[k] <= next) << k;
+        e->at = at & step ? 8 : at | step;
+        e->t = next;
+        *octant = at ^ l->negative;
+        if (!(e->mask >> *octant & 1) || !(enter < next)) continue;
+        for (int k = 0; k < 3; k++) corner[k] = e->corner[k] + (*octant >> k & 1 ? e->half : 0);
+        *t = enter;
+        return true;
+    }
+    return false;
+}
+
+INLINE bool small_enough(const line *l, int32_t size, double t) { return (double)size <= l->spread * t + l->offset; }
+
+/* A brick that is not small enough itself, but whose octants may be. */
+static bool walk_brick_lod(const line *l, uint64_t brick, const int32_t p[3], double t, const double leave[3],
+                           uint32_t brick_level, place *found)
+{
+    uint32_t mask = 0, octant, voxel;
+    for (uint32_t a = 0; a < 8; a++) mask |= (uint32_t)((brick >> 8 * a & 0xff) != 0) << a;
+    eight outer = eight_begin(l, mask, p, 2, t, leave);
+    int32_t corner[3];
+    double out[3], voxel_out[3];
+    while (eight_next(l, &outer, &octant, &t, corner, out)) {
+        if (!(t <= l->t_max)) return false;
+        if (small_enough(l, 2, t)) {
+            found->tree_level = brick_level + 1;
+            memcpy(found->corner, corner, sizeof corner);
+            return true;
+        }
+        eight inner = eight_begin(l, (uint32_t)(brick >> 8 * octant & 0xff), corner, 1, t, out);
+        if (eight_next(l, &inner, &voxel, &t, found->corner, voxel_out)) {
+            found->tree_level = brick_level + 2;
+            return t <= l->t_max;
+        }
+    }
+    return false;
+}
+
+/* First node met. `lod` is a constant of the two callers. */
+INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
+{
+    const uint32_t tree_depth = v->tree_depth, brick_level = v->brick_level;
+    const bool stop_brick = v->depth >= 2, stop_octant = v->depth >= 1; /* levels above the root of a small octree are virtual */
+    const uint32_t negative = l->negative;
+    const double ox = l->o[0], oy = l->o[1], oz = l->o[2], ix = l->inv[0], iy = l->inv[1], iz = l->inv[2];
+    uint32_t stack[SVO_MAX_DEPTH];
+    uint32_t level = 0, ref = v->root, octant = 0; /* the node, and the child that is the current cell */
+    int32_t size = (int32_t)1 << tree_depth, p[3] = {0, 0, 0};
+    double out[3]; /* far planes of the cell */
+    for (int k = 0; k < 3; k++) out[k] = far_plane(l, k, 0, size);
+    double enter = cell_enter(l, p, size), t = enter > l->t_min ? enter : l->t_min;
+    if (!(t < least(out[0], out[1], out[2]) && t <= l->t_max)) return false;
+    bool filled = true; /* the root fills its cell */
+    uint32_t child = ref, child_level = 0;
+    const uint32_t *words = NULL;
+
+    for (;;) {
+        if (filled) {
+            if (lod && child_level <= brick_level && (child_level < brick_level || stop_brick) && small_enough(l, size, t) &&
+                t < least(out[0], out[1], out[2])) {
+                found->tree_level = child_level;
+                memcpy(found->corner, p, sizeof p);
+                return true;
+            }
+            if (child_level == brick_level) {
+                uint64_t brick = v->bricks[child];
+                uint32_t bit;
+                if (lod && stop_octant && small_enough(l, 2, least(out[0], out[1], out[2]))) {
+                    if (walk_brick_lod(l, brick, p, t, out, brick_level, found)) return true;
+                } else if (walk_brick(l, brick, p, t, out, &bit)) {
+                    found->tree_level = tree_depth;
+                    found->corner[0] = p[0] + (int32_t)((bit & 1) | (bit >> 2 & 2));
+                    found->corner[1] = p[1] + (int32_t)((bit >> 1 & 1) | (bit >> 3 & 2));
+                    found->corner[2] = p[2] + (int32_t)((bit >> 2 & 1) | (bit >> 4 & 2));
+                    return true;
+                }
+                if (brick_level == 0) return false;
+            } else {
+                /* go down: the child that holds the ray at t */
+                if (child_level != 0) stack[level] = ref;
+                level = child_level, ref = child;
+                words = v->levels[level].words;
+                size >>= 1;
+                double cx = ((double)(p[0] + size) - ox) * ix, cy = ((double)(p[1] + size) - oy) * iy,
+                       cz = ((double)(p[2] + size) - oz) * iz;
+                bool bx = cx <= t, by = cy <= t, bz = cz <= t;
+                octant = ((uint32_t)bx | (uint32_t)by << 1 | (uint32_t)bz << 2) ^ negative;
+                out[0] = bx ? out[0] : cx, out[1] = by ? out[1] : cy, out[2] = bz ? out[2] : cz;
+                p[0] += octant & 1 ? size : 0, p[1] += octant & 2 ? size : 0, p[2] += octant & 4 ? size : 0;
+                goto look;
+            }
+        }
+        /* leave the cell through its nearest far planes */
+        t = least(out[0], out[1], out[2]);
+        if (!(t <= l->t_max)) return false;
+        uint32_t change = 0;
+        for (int k = 0; k < 3; k++) {
+            int32_t to = p[k] + (out[k] <= t ? (negative >> k & 1 ? -size : size) : 0);
+            change |= (uint32_t)(to ^ p[k]);
+            p[k] = to;
+        }
+        /* the highest bit that changed names the common ancestor */
+        uint32_t top = 31 - (uint32_t)__builtin_clz(change);
+        if (top >= tree_depth) return false;
+        int32_t cell = (int32_t)1 << top;
+        if (cell != size) {
+            size = cell;
+            level = tree_depth - 1 - top;
+            ref = stack[level];
+            words = v->levels[level].words;
+            for (int k = 0; k < 3; k++) p[k] &= -size;
+        }
+        octant = ((uint32_t)p[0] >> top & 1) | ((uint32_t)p[1] >> top & 1) << 1 | ((uint32_t)p[2] >> top & 1) << 2;
+        for (int k = 0; k < 3; k++) out[k] = far_plane(l, k, p[k], size);
+    look:;
+        uint32_t mask = words[ref] & 0xff;
+        filled = mask >> octant & 1;
+        child_level = level + 1;
+        if (filled) child = words[ref + 1 + (uint32_t)__builtin_popcount(mask & ((1u << octant) - 1))];
+    }
+}
+
+static bool find(const svo_view *v, const svo_ray *ray, line *l, place *found)
+{
+    if (!make_line(v, ray, l)) return false;
+    if (l->spread > 0 || l->offset > 0) return trace(v, l, true, found);
+    return trace(v, l, false, found);
+}
+
+bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
+{
+    line l;
+    place found;
+    return find(view, ray, &l, &found);
+}
+
+/* Attribute index of a node that is known to exist. */
+static uint64_t attribute_of(const svo_view *v, const place *at)
+{
+    svo_view_node node = {v->root, 0};
+    uint32_t bit = v->tree_depth - 1, level = 0;
+    uint32_t x = (uint32_t)at->corner[0], y = (uint32_t)at->corner[1], z = (uint32_t)at->corner[2];
+    for (; level < v->brick_level && level < at->tree_level; level++, bit--)
+        node = svo_view_child(v, level, node, (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2);
+    if (level == at->tree_level) return node.attribute;
+    uint64_t brick = v->bricks[node.ref];
+    uint32_t a = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2, b = (x & 1) | (y & 1) << 1 | (z & 1) << 2;
+    if (at->tree_level == v->tree_depth) return svo_brick_voxel(v->lod, brick, node.attribute, 8 * a + b);
+    return svo_brick_octant(v->lod, brick, node.attribute, a);
+}
+
+void svo_raycast(const svo_view *view, const svo_ray *rays, uint32_t count, svo_hit *hits)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        line l;
+        place at;
+        svo_hit *hit = &hits[i];
+        memset(hit, 0, sizeof *hit);
+        if (!find(view, &rays[i], &l, &at)) continue;
+        uint32_t above = view->tree_depth - at.tree_level;
+        int32_t size = (int32_t)1 << above;
+        double enter = -INFINITY;
+        uint32_t face = 0;
+        for (uint32_t k = 0; k < 3; k++) {
+            double t = near_plane(&l, (int)k, at.corner[k], size);
+            if (t > enter) enter = t, face = 2 * k + (l.negative >> k & 1);
+            hit->cell[k] = (uint32_t)at.corner[k] >> above;
+        }
+        if (enter < l.t_min) enter = l.t_min, face = SVO_FACE_INSIDE;
+        hit->hit = true;
+        hit->t = (enter + l.base) * l.unit;
+        hit->face = (uint8_t)face;
+        hit->level = (uint8_t)(view->depth - above);
+        hit->attribute = attribute_of(view, &at);
+    }
+}
+
+bool svo_ray_node(const svo_view *view, const svo_ray *ray, uint32_t level, const uint32_t cell[3], double *enter, double *leave)
+{
+    line l;
+    if (!make_line(view, ray, &l)) return false;
+    int32_t size = (int32_t)1 << (view->depth - level), corner[3];
+    for (int k = 0; k < 3; k++) corner[k] = (int32_t)cell[k] * size;
+    double in = cell_enter(&l, corner, size);
+    double out = least(far_plane(&l, 0, corner[0], size), far_plane(&l, 1, corner[1], size), far_plane(&l, 2, corner[2], size));
+    *enter = (in + l.base) * l.unit;
+    *leave = (out + l.base) * l.unit;
+    return in < out;
+}
+
+/* The largest (side 1) or smallest (side 0) coordinate of a voxel's face on an axis: depth first with the outer children
+ * first; a node that cannot reach beyond what is found is not entered. Distances count from the opposite side of the grid,
+ * so that larger is better for both sides. */
+static uint32_t extreme(const svo_view *v, uint32_t axis, uint32_t side)
+{
+    struct { uint32_t ref, level, reach; } stack[8 * SVO_MAX_DEPTH];
+    uint32_t top = 0, best = 0;
+    stack[top].ref = v->root, stack[top].level = 0, stack[top++].reach = 1u << v->tree_depth;
+    while (top != 0) {
+        uint32_t ref = stack[--top].ref, level = stack[top].level, reach = stack[top].reach;
+        if (reach <= best) continue;
+        if (level == v->brick_level) {
+            uint64_t brick = v->bricks[ref];
+            for (; brick != 0; brick &= brick - 1) {
+                uint32_t b = (uint32_t)__builtin_ctzll(brick);
+                uint32_t at = (b >> axis & 1) | (b >> (axis + 2) & 2), d = reach - 3 + (side ? at : 3 - at);
+                if (d > best) best = d;
+            }
+            continue;
+        }
+        uint32_t mask = svo_view_mask(v, level, ref), half = 1u << (v->tree_depth - 1 - level);
+        for (uint32_t outer = 0; outer < 2; outer++)
+            for (uint32_t a = 0; a < 8; a++) {
+                if (!(mask >> a & 1) || ((a >> axis & 1) == side) != (outer == 1)) continue;
+                stack[top].ref = svo_view_child(v, level, (svo_view_node){ref, 0}, a).ref;
+                stack[top].level = level + 1;
+                stack[top++].reach = outer ? reach : reach - half;
+            }
+    }
+    return best;
+}
+
+bool svo_view_bounds(const svo_view *v, uint32_t low[3], uint32_t high[3])
+{
+    if (v->empty) return false;
+    for (uint32_t k = 0; k < 3; k++) {
+        low[k] = (1u << v->tree_depth) - extreme(v, k, 0);
+        high[k] = extreme(v, k, 1);
+    }
+    return true;
+}
