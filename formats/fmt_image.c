@@ -1,0 +1,104 @@
+#include "fmt_image.h"
+
+#include <string.h>
+
+#include "image_internal.h"
+
+static const uint64_t DEFAULT_MAX_PIXELS = (uint64_t)1 << 28;
+
+svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uint64_t max_pixels, const svo_allocator *a,
+                          svo_image *out, svo_error *err)
+{
+    if (width == 0 || height == 0 || width > INT32_MAX || height > INT32_MAX)
+        return svo_fail(err, SVO_INVALID_DATA, "%s image of %llu x %llu pixels", kind, (unsigned long long)width, (unsigned long long)height);
+    if (height > max_pixels / width)
+        return svo_fail(err, SVO_LIMIT, "%s image is %llu x %llu pixels; at most %llu pixels are accepted", kind,
+                        (unsigned long long)width, (unsigned long long)height, (unsigned long long)max_pixels);
+    out->pixels = svo_alloc(a, width * height, 4);
+    if (out->pixels == NULL)
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a %s image of %llu x %llu pixels", kind,
+                        (unsigned long long)width, (unsigned long long)height);
+    out->width = (uint32_t)width;
+    out->height = (uint32_t)height;
+    return SVO_OK;
+}
+
+typedef svo_result (*decoder)(const uint8_t *, uint64_t, uint64_t, const svo_allocator *, svo_image *, svo_error *);
+
+static bool starts(const uint8_t *bytes, uint64_t size, uint64_t at, const char *text, uint64_t length)
+{
+    return at <= size && length <= size - at && memcmp(bytes + at, text, length) == 0;
+}
+
+/* The decoder for these bytes, or NULL and the name of a format that is recognised but not read. */
+static decoder sniff(const uint8_t *b, uint64_t n, const char **name)
+{
+    static const struct { uint32_t at, length; const char *magic, *name; decoder fn; } known[] = {
+        {0, 8, "\x89PNG\r\n\x1a\n", "PNG", image_decode_png},
+        {0, 3, "\xff\xd8\xff", "JPEG", image_decode_jpeg},
+        {8, 4, "WEBP", "WebP", NULL},
+        {0, 12, "\xabKTX 20\xbb\r\n\x1a\n", "KTX2 (Basis Universal)", NULL},
+        {0, 12, "\xabKTX 11\xbb\r\n\x1a\n", "KTX", NULL},
+        {0, 4, "DDS ", "DDS", NULL},
+        {0, 4, "GIF8", "GIF", NULL},
+        {0, 4, "II*\0", "TIFF", NULL},
+        {0, 4, "MM\0*", "TIFF", NULL},
+        {0, 4, "8BPS", "PSD", NULL},
+        {0, 4, "v/1\x01", "OpenEXR", NULL},
+        {0, 10, "#?RADIANCE", "Radiance HDR", NULL},
+        {4, 8, "ftypavif", "AVIF", NULL},
+        {4, 8, "ftypheic", "HEIF", NULL},
+        {0, 12, "\0\0\0\x0cjP  \r\n\x87\n", "JPEG 2000", NULL},
+        {0, 4, "qoif", "QOI", NULL},
+        {0, 2, "BM", "BMP", image_decode_bmp},
+    };
+    for (size_t i = 0; i < sizeof known / sizeof *known; i++) {
+        if (!starts(b, n, known[i].at, known[i].magic, known[i].length)) continue;
+        *name = known[i].name;
+        return known[i].fn;
+    }
+    *name = NULL;
+    return image_looks_like_tga(b, n) ? image_decode_tga : NULL;
+}
+
+svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
+{
+    if (size == 0) return svo_fail(err, SVO_INVALID_DATA, "the image is empty");
+    const char *name;
+    decoder fn = sniff(bytes, size, &name);
+    if (fn == NULL && name != NULL)
+        return svo_fail(err, SVO_UNSUPPORTED, "%s images are not supported; PNG, JPEG, BMP and TGA are", name);
+    if (fn == NULL) return svo_fail(err, SVO_UNSUPPORTED, "not an image of a known format (PNG, JPEG, BMP and TGA are supported)");
+    svo_image image = {0};
+    svo_result r = fn(bytes, size, max_pixels != 0 ? max_pixels : DEFAULT_MAX_PIXELS, a, &image, err);
+    if (r != SVO_OK) {
+        fmt_image_free(a, &image);
+        return r;
+    }
+    uint64_t count = (uint64_t)image.width * image.height;
+    uint8_t all = 255;
+    for (uint64_t i = 0; i < count; i++) all &= image.pixels[4 * i + 3];
+    image.has_alpha = all != 255;
+    *out = image;
+    return SVO_OK;
+}
+
+svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
+{
+    fmt_bytes file;
+    SVO_TRY(fmt_bytes_open(path, 0, a, &file, err));
+    svo_result r = fmt_image_decode(file.data, file.size, max_pixels, a, out, err);
+    fmt_bytes_close(&file);
+    if (r == SVO_OK) return r;
+    svo_error inner = {0};
+    if (err != NULL) inner = *err;
+    return svo_fail(err, r, "%s: %s", path, inner.message);
+}
+
+void fmt_image_free(const svo_allocator *a, svo_image *image)
+{
+    if (image == NULL) return;
+    svo_string_free(a, image->name);
+    svo_free(a, image->pixels, (uint64_t)image->width * image->height, 4);
+    memset(image, 0, sizeof *image);
+}
