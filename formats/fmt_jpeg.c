@@ -22,6 +22,7 @@ typedef struct jpeg_job {
     jmp_buf jump;
     svo_result result;
     char message[JMSG_LENGTH_MAX];
+    bool ended;      /* the bytes did not end with the end mark */
     uint64_t charge; /* bytes accounted for libjpeg's own memory */
     void *charged;
 } jpeg_job;
@@ -74,6 +75,7 @@ static void source_start(j_decompress_ptr info) { (void)info; }
 static boolean source_fill(j_decompress_ptr info)
 {
     static const JOCTET end[2] = {0xff, JPEG_EOI};
+    job_of((j_common_ptr)info)->ended = true;
     info->src->next_input_byte = end;
     info->src->bytes_in_buffer = 2;
     return TRUE;
@@ -127,6 +129,7 @@ static bool read_rows(jpeg_job *job, const uint8_t *bytes, uint64_t size, uint64
     info->dct_method = JDCT_ISLOW;
     info->out_color_space = JCS_EXT_RGBA;
     jpeg_start_decompress(info);
+    if (job->charged != NULL && job->ended) stop(job, SVO_INVALID_DATA, "the file ends before the last scan");
     while (info->output_scanline < info->output_height) {
         JSAMPROW row = out->pixels + 4 * (size_t)info->image_width * info->output_scanline;
         jpeg_read_scanlines(info, &row, 1);
