@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "svo_task.h"
+#include "svo_text.h"
 
 #define DEFAULT_PAGE_INSTANCES 1024u
 /* Single precision keeps 2^-24 of a coordinate. An asset whose coordinates exceed 2^18 of its voxels would lose more
@@ -459,11 +460,7 @@ static svo_result gather_names(packer *p, svo_error *err)
         uint32_t offset = p->in->places[p->order[i]].name;
         if (offset == 0 || p->in->names[offset] == 0) continue;
         const char *text = p->in->names + offset;
-        uint64_t hash = 14695981039346656037u, size = 0;
-        for (; text[size] != 0; size++) hash = (hash ^ (uint8_t)text[size]) * 1099511628211u;
-        hash ^= hash >> 32;
-        hash *= 0x9e3779b97f4a7c15u;
-        uint64_t slot = (hash >> 20) & (slots - 1);
+        uint64_t size, slot = svo_text_hash(text, &size) & (slots - 1);
         while (table[slot] != 0 && strcmp((const char *)o->names.data + table[slot], text) != 0) slot = (slot + 1) & (slots - 1);
         if (table[slot] == 0) {
             if (o->names.size + size + 1 > UINT32_MAX) result = svo_fail(err, SVO_LIMIT, "names of instances take more than 4 GiB");

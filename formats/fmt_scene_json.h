@@ -1,0 +1,45 @@
+/* Scene descriptions in JSON: docs/tools/svo-pack.md describes the format. */
+#ifndef FMT_SCENE_JSON_H
+#define FMT_SCENE_JSON_H
+
+#include "svo_pack.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* An element of the file, object by object, may be at most this long; so memory follows from what is kept. */
+#define FMT_SCENE_JSON_ELEMENT_BYTES 65536u
+
+typedef struct fmt_scene_json_asset {
+    char *name;
+    char *file; /* relative path without "..", not absolute */
+} fmt_scene_json_asset;
+
+typedef struct fmt_scene_json {
+    const svo_allocator *allocator;
+    uint32_t asset_count;
+    fmt_scene_json_asset *assets;
+    uint64_t place_count;
+    const svo_place *places;
+    const char *names; /* the instances' names; offset 0 is "" */
+    uint64_t names_size;
+    bool has_camera;
+    svo_mat4 camera_transform;
+    double camera_yfov;
+    svo_buffer storage[3]; /* private: assets, places, names */
+} fmt_scene_json;
+
+/* Parse `size` bytes of UTF-8. Every rule is checked: unknown keys, wrong types, numbers that are not finite, paths that
+ * leave the folder, unknown and duplicate assets are SVO_INVALID_DATA with the path of the key (and the line, for
+ * errors of syntax) in the message; a pose that is not null is SVO_UNSUPPORTED; more than 2^32 - 1 instances, 2^20
+ * assets or 4 GiB of names are SVO_LIMIT. No file is touched. Memory: 112 bytes an instance and the names. */
+svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_warnings *warnings,
+                                fmt_scene_json *out, svo_error *err);
+/* Frees and zeroes. */
+void fmt_scene_json_free(fmt_scene_json *s);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
