@@ -20,9 +20,6 @@ typedef struct fmt_output fmt_output;
 /* Fails with SVO_IO when the directory is missing or not writable, or when `path` exists and !force (checked here and
  * again at commit); SVO_INVALID_ARGUMENT when `path` is "-" and stdout is a terminal. */
 svo_result fmt_output_open(const char *path, bool force, fmt_output **out, svo_error *err);
-/* An output that appends to a buffer (borrowed, not cleared; its allocator pays). Offsets count from its size at the
- * start, so an image of a file can be made in memory. Commit frees the output, discard also cuts the buffer back. */
-svo_result fmt_output_memory(svo_buffer *to, fmt_output **out, svo_error *err);
 /* An output into memory: *to is emptied and holds the bytes once committed. */
 svo_result fmt_output_open_memory(svo_buffer *to, fmt_output **out, svo_error *err);
 svo_result fmt_output_write(fmt_output *o, const void *bytes, size_t size, svo_error *err);

@@ -15,7 +15,7 @@
 #define INAM FMT_FOURCC('I', 'N', 'A', 'M')
 #define CAMR FMT_FOURCC('C', 'A', 'M', 'R')
 #define ASET FMT_FOURCC('A', 'S', 'E', 'T')
-#define META FMT_FOURCC('M', 'E', 'T', 'A')
+#define META FMT_TYPE_META
 
 #define MAJOR 1
 #define HEAD_BYTES 80u
@@ -200,26 +200,26 @@ static svo_result put_instances(scene_writer *w, const svo_scene *s, fmt_scene_b
     return SVO_OK;
 }
 
-static svo_result put_assets(scene_writer *w, const svo_scene *s, const svo_allocator *a, uint64_t *bytes, svo_error *err)
+static svo_result put_assets(scene_writer *w, const svo_scene *s, const svo_allocator *a, fmt_scene_bytes *bytes, uint64_t *each, svo_error *err)
 {
     svo_buffer image;
     svo_buffer_init(&image, a);
     svo_result result = SVO_OK;
     for (uint32_t i = 0; i < s->asset_count && result == SVO_OK; i++) {
         fmt_output *memory;
-        image.size = 0;
-        result = fmt_output_memory(&image, &memory, err);
+        result = fmt_output_open_memory(&image, &memory, err);
         if (result != SVO_OK) break;
         result = fmt_svdag_write(memory, s->assets[i], NULL, err);
         if (result == SVO_OK) result = fmt_output_commit(memory, err);
         else fmt_output_discard(memory);
-        if (result == SVO_OK) result = put(w, ASET, i, image.data, image.size, 0, bytes, err);
+        if (result == SVO_OK) result = put(w, ASET, i, image.data, image.size, 0, &bytes->assets, err);
+        if (each != NULL) each[i] = image.size;
     }
     svo_buffer_free(&image);
     return result;
 }
 
-static svo_result put_all(scene_writer *w, const svo_scene *s, const char *provenance, const svo_allocator *a, fmt_scene_bytes *bytes, svo_error *err)
+static svo_result put_all(scene_writer *w, const svo_scene *s, const char *provenance, const svo_allocator *a, fmt_scene_bytes *bytes, uint64_t *each, svo_error *err)
 {
     SVO_TRY(build_head(w, s, err));
     SVO_TRY(put(w, HEAD, 0, w->head.data, w->head.size, 0, &bytes->rest, err));
@@ -231,13 +231,12 @@ static svo_result put_all(scene_writer *w, const svo_scene *s, const char *prove
         camera[16] = s->camera_yfov;
         SVO_TRY(put(w, CAMR, 0, camera, sizeof camera, 0, &bytes->rest, err));
     }
-    SVO_TRY(put_assets(w, s, a, &bytes->assets, err));
-    if (provenance != NULL && provenance[0] != 0) SVO_TRY(put(w, META, 0, provenance, strlen(provenance), 0, &bytes->rest, err));
-    return SVO_OK;
+    SVO_TRY(put_assets(w, s, a, bytes, each, err));
+    return fmt_writer_meta(w->container, provenance, err);
 }
 
 svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
-                           fmt_scene_bytes *bytes, svo_error *err)
+                           fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err)
 {
     fmt_scene_bytes sizes = {0};
     SVO_TRY(check_scene(scene, SVO_INVALID_ARGUMENT, a, err));
@@ -246,7 +245,7 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
     svo_buffer_init(&w.head, a);
     svo_buffer_init(&w.names, a);
     SVO_TRY(fmt_writer_begin(out, FMT_KIND_SCENE, MAJOR, 0, &w.container, err));
-    svo_result result = put_all(&w, scene, provenance, a, &sizes, err);
+    svo_result result = put_all(&w, scene, provenance, a, &sizes, asset_bytes, err);
     if (result == SVO_OK) result = fmt_writer_end(w.container, err);
     else fmt_writer_discard(w.container);
     svo_buffer_free(&w.head);
@@ -259,14 +258,8 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
 
 /* ---- reading ---- */
 
-/* Place of a known type in the order of chunks; 0 for an unknown one. */
-static int rank_of(uint32_t type)
-{
-    static const uint32_t order[] = {HEAD, NAME, PAGE, IAST, IXFM, IIDS, INAM, CAMR, ASET, META};
-    for (int i = 0; i < 10; i++)
-        if (order[i] == type) return i + 1;
-    return 0;
-}
+static const uint32_t chunk_order[] = {HEAD, NAME, PAGE, IAST, IXFM, IIDS, INAM, CAMR, ASET, META};
+#define CHUNK_TYPES (sizeof chunk_order / sizeof chunk_order[0])
 
 static svo_result check_order(const fmt_container *c, svo_error *err)
 {
@@ -274,12 +267,10 @@ static svo_result check_order(const fmt_container *c, svo_error *err)
     uint64_t assets = 0;
     for (uint32_t i = 0; i < c->chunk_count; i++) {
         const fmt_chunk *k = &c->chunks[i];
-        int rank = rank_of(k->type);
-        char name[5];
-        fmt_fourcc_text(k->type, name);
-        if (rank == 0 && (k->flags & FMT_CHUNK_CRITICAL) != 0)
-            return svo_fail(err, SVO_UNSUPPORTED, "chunk %s is needed to understand the scene, but this version does not know it (rule CON-09)", name);
-        if (rank == 0) continue;
+        SVO_TRY(fmt_chunk_known(k, chunk_order, CHUNK_TYPES, err));
+        if (fmt_chunk_skip(k, chunk_order, CHUNK_TYPES)) continue;
+        int rank = 1;
+        while (chunk_order[rank - 1] != k->type) rank++;
         if (rank < last || (rank == last && k->type != ASET)) return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "not in its place, or twice");
         if (k->codec != FMT_CODEC_NONE || (k->type != META && (k->flags & FMT_CHUNK_CRITICAL) == 0))
             return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong codec or flags");
@@ -399,24 +390,6 @@ static svo_result read_assets(fmt_scene *f, const head *h, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result read_provenance(fmt_scene *f, svo_error *err)
-{
-    const fmt_chunk *k = fmt_container_find(&f->container, META, true, 0);
-    const uint8_t *bytes = NULL;
-    uint64_t size = 0;
-    if (k != NULL) {
-        SVO_TRY(fmt_container_payload(&f->container, k, &bytes, err));
-        size = k->stored_size;
-        if (!fmt_utf8_valid((const char *)bytes, size) || memchr(bytes, 0, (size_t)size) != NULL)
-            return bad(err, SVO_INVALID_DATA, META, 0, "SCN-01", "not UTF-8 text");
-    }
-    char *text = svo_calloc(f->allocator, size + 1, 1);
-    if (text == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance");
-    if (size != 0) memcpy(text, bytes, (size_t)size);
-    f->provenance = text;
-    return SVO_OK;
-}
-
 static svo_result read_all(fmt_scene *f, svo_error *err)
 {
     if (f->container.kind != FMT_KIND_SCENE) return svo_fail(err, SVO_INVALID_DATA, "not an .svscene file, but another kind of svokit file");
@@ -427,7 +400,7 @@ static svo_result read_all(fmt_scene *f, svo_error *err)
     SVO_TRY(read_head(f, &h, err));
     SVO_TRY(read_arrays(f, &h, err));
     SVO_TRY(read_assets(f, &h, err));
-    SVO_TRY(read_provenance(f, err));
+    SVO_TRY(fmt_container_meta(&f->container, f->allocator, &f->provenance, err));
     SVO_TRY(check_scene(&f->scene, SVO_INVALID_DATA, f->allocator, err));
     double bounds[6] = {0};
     if (f->scene.page_count != 0) svo_scene_bounds(&f->scene, bounds, bounds + 3);
@@ -458,7 +431,7 @@ void fmt_scene_close(fmt_scene *s)
     svo_free(s->allocator, s->assets, s->scene.asset_count, sizeof *s->assets);
     svo_free(s->allocator, s->views, s->scene.asset_count, sizeof *s->views);
     svo_free(s->allocator, s->asset_names, s->scene.asset_count, sizeof *s->asset_names);
-    if (s->provenance != NULL) svo_free(s->allocator, s->provenance, strlen(s->provenance) + 1, 1);
+    fmt_meta_free(s->allocator, s->provenance);
     fmt_container_close(&s->container);
     memset(s, 0, sizeof *s);
 }

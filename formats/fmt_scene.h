@@ -18,9 +18,9 @@ typedef struct fmt_scene_bytes {
 /* Write a scene (pages as svo_pack made them, or a mapped scene again). It is checked as fmt_scene_open checks a file,
  * its assets excepted, so that nothing is written that cannot be read: SVO_INVALID_ARGUMENT otherwise. Assets are stored
  * as .svdag images without provenance, one after the other, with one image in memory at a time. Same scene and
- * provenance (JSON text, may be NULL), same bytes. bytes may be NULL. */
+ * provenance (JSON text, may be NULL), same bytes. bytes, and asset_bytes (scene->asset_count sizes of the images), may be NULL. */
 svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
-                           fmt_scene_bytes *bytes, svo_error *err);
+                           fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err);
 
 /* An opened file. Arrays of `scene` point into the file's bytes, which must outlive it. All hashes are checked,
  * every asset is opened by fmt_svdag_open, and every rule of docs/format/svscene.md holds when this returns SVO_OK.
