@@ -1,0 +1,151 @@
+/* The pipeline: import -> soup -> tessellation -> contraction -> curve -> measures -> map. */
+#include "skel_build.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "skeli_internal.h"
+
+skel_options skel_default_options(void)
+{
+    skel_options o;
+    memset(&o, 0, sizeof o);
+    o.omega = 0.025;
+    return o;
+}
+
+svo_result skeli_check_options(const skel_options *o, svo_error *err)
+{
+    if (!(o->omega >= SKEL_MIN_OMEGA && o->omega <= SKEL_MAX_OMEGA))
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "omega must be %g to %g, not %g", SKEL_MIN_OMEGA, SKEL_MAX_OMEGA, o->omega);
+    if (!(o->delta >= 0) || !isfinite(o->delta)) return svo_fail(err, SVO_INVALID_ARGUMENT, "delta must be 0 or more, not %g", o->delta);
+    return SVO_OK;
+}
+
+void skeli_phase(skel_report *r, const char *name, double *since)
+{
+    double now = svo_seconds();
+    if (r->phase_count < SKEL_MAX_PHASES) r->phases[r->phase_count++] = (skel_phase){name, now - *since};
+    *since = now;
+}
+
+void skel_skeleton_free(skel_skeleton *s)
+{
+    if (s == NULL) return;
+    svo_free(s->allocator, s->joints, s->joint_count, sizeof *s->joints);
+    svo_free(s->allocator, s->bones, s->bone_count, sizeof *s->bones);
+    svo_free(s->allocator, s->map, s->map_count, sizeof *s->map);
+    memset(s, 0, sizeof *s);
+}
+
+static void warn_about(const skel_report *r, svo_warnings *w)
+{
+    if (r->not_finite > 0) svo_warn(w, "%llu vertices with coordinates that are not finite were dropped", (unsigned long long)r->not_finite);
+    if (r->unreferenced > 0) svo_warn(w, "%llu vertices that belong to no triangle were dropped", (unsigned long long)r->unreferenced);
+    if (!r->converged)
+        svo_warn(w, "the contraction did not converge in %llu sweeps (largest movement %.3g omega, thinness error %.3g %%); the skeleton may have false loops",
+                 (unsigned long long)r->iterations, r->final_movement_max / r->omega, r->thinness_error);
+}
+
+static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
+                           const skel_options *o, skel_skeleton *out, svo_error *err)
+{
+    skel_report *r = &out->report;
+    double since = svo_seconds();
+    skeli_soup soup, mesh;
+    skeli_state state;
+    uint32_t *remap = skeli_take(pool, points, sizeof *remap);
+    if (remap == NULL) return skeli_no_memory(err);
+    SVO_TRY(skeli_soup_make(pool, position, points, corner, triangles, r, &soup, remap, err));
+    skeli_phase(r, "clean", &since);
+    uint32_t *moved = skeli_take(pool, soup.vertex_count, sizeof *moved);
+    if (moved == NULL) return skeli_no_memory(err);
+    SVO_TRY(skeli_tessellate(pool, &soup, o->omega * SKEL_LATTICE, o->max_vertices != 0 ? o->max_vertices : 8000000, &mesh, moved, err));
+    r->tessellated_vertices = mesh.vertex_count;
+    r->tessellated_triangles = mesh.triangle_count;
+    skeli_phase(r, "tessellate", &since);
+    SVO_TRY(skeli_contract(pool, &mesh, o, r, &state, err));
+    skeli_phase(r, "contract", &since);
+    uint32_t *joint_of = skeli_take(pool, mesh.vertex_count, sizeof *joint_of);
+    if (joint_of == NULL) return skeli_no_memory(err);
+    SVO_TRY(skeli_extract(pool, &mesh, &state, o, out, joint_of, err));
+    skeli_phase(r, "extract", &since);
+    SVO_TRY(skeli_measure(pool, &mesh, joint_of, out, err));
+    skeli_phase(r, "measure", &since);
+    out->map = svo_alloc(out->allocator, points, sizeof *out->map);
+    if (out->map == NULL) return skeli_no_memory(err);
+    out->map_count = r->input_count = points;
+    for (uint64_t i = 0; i < points; i++) {
+        out->map[i] = remap[i] == SVO_NONE ? SVO_NONE : joint_of[moved[remap[i]]];
+        r->mapped_count += out->map[i] != SVO_NONE;
+    }
+    return SVO_OK;
+}
+
+svo_result skeli_pipeline(const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles, const skel_options *o,
+                          skel_skeleton *out, svo_error *err)
+{
+    skeli_pool pool = {.allocator = o->allocator};
+    skel_skeleton s = {.allocator = o->allocator};
+    s.report = (skel_report){.method = o->method, .normalize = o->normalize, .place = o->place, .omega = o->omega, .delta = o->delta};
+    svo_result result = pipeline(&pool, position, points, corner, triangles, o, &s, err);
+    skeli_pool_free(&pool);
+    if (result != SVO_OK) {
+        skel_skeleton_free(&s);
+        return result;
+    }
+    warn_about(&s.report, o->warnings);
+    *out = s;
+    return SVO_OK;
+}
+
+/* All instances as one list of points and triangles in world coordinates, in the order the map is defined by. */
+static void flatten(const svo_mesh *mesh, double *position, uint32_t *corner)
+{
+    uint64_t base = 0, t = 0;
+    for (uint32_t i = 0; i < mesh->instance_count; i++) {
+        const svo_instance *in = &mesh->instances[i];
+        const svo_shape *shape = &mesh->shapes[in->shape];
+        for (uint32_t k = 0; k < shape->part_count; k++) {
+            const svo_part *part = &shape->parts[k];
+            for (uint64_t v = 0; v < part->vertex_count; v++) {
+                const double *p = part->positions + 3 * v;
+                svo_vec3 q = svo_mat4_point(&in->transform, svo_v3(p[0], p[1], p[2]));
+                double *to = position + 3 * (base + v);
+                to[0] = q.x;
+                to[1] = q.y;
+                to[2] = q.z;
+            }
+            for (uint64_t c = 0; c < 3 * part->triangle_count; c++) corner[t++] = (uint32_t)base + part->indices[c];
+            base += part->vertex_count;
+        }
+    }
+}
+
+svo_result skel_build_mesh(const svo_mesh *mesh, const skel_options *options, skel_skeleton *out, svo_error *err)
+{
+    SVO_TRY(skeli_check_options(options, err));
+    uint64_t points = 0, triangles = 0;
+    for (uint32_t i = 0; i < mesh->instance_count; i++) {
+        const svo_shape *shape = &mesh->shapes[mesh->instances[i].shape];
+        for (uint32_t k = 0; k < shape->part_count; k++) {
+            points += shape->parts[k].vertex_count;
+            triangles += shape->parts[k].triangle_count;
+            if (points >= INT32_MAX || triangles >= INT32_MAX)
+                return svo_fail(err, SVO_LIMIT, "the model has more than 2^31 vertices or triangles with its instances");
+        }
+    }
+    if (triangles == 0) return svo_fail(err, SVO_INVALID_DATA, "the model has no triangles, so it has no skeleton");
+    double *position = svo_alloc(options->allocator, 3 * points, sizeof *position);
+    uint32_t *corner = svo_alloc(options->allocator, 3 * triangles, sizeof *corner);
+    svo_result result;
+    if (position == NULL || corner == NULL) {
+        result = skeli_no_memory(err);
+    } else {
+        flatten(mesh, position, corner);
+        result = skeli_pipeline(position, points, corner, triangles, options, out, err);
+    }
+    svo_free(options->allocator, position, 3 * points, sizeof *position);
+    svo_free(options->allocator, corner, 3 * triangles, sizeof *corner);
+    return result;
+}

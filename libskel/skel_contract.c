@@ -1,0 +1,346 @@
+/* Contraction (seed 5.4, 5.5): every sweep moves each vertex to m + beta (s - m), where m is the mean of the vertices within omega
+ * (5.4.2, over G, the ball), s the mean of its one-ring (5.4.1) and beta = a / rho its one-ring area now over that at the start
+ * (5.4.4), clamped to [0, 1]; rho = 0 gives beta = 0. All of a sweep reads the positions before it (Jacobi), and between sweeps positions are
+ * whole lattice steps, so that sums are exact and no thread count or search structure changes the result.
+ *
+ * SKEL_METHOD_FAST does the same on fewer and fewer vertices: those that come within omega/8 are welded, with their count as weight
+ * in m, and 4 smoothing steps share one ball search. docs/design/005-skeletons.md has the reasons and the figures. */
+#include "skeli_internal.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svo_task.h"
+
+enum {
+    STILL_SWEEPS = 8,      /* that must be quiet in a row */
+    FIRST_INTERVAL = 5,    /* sweeps between welds */
+    LAST_INTERVAL = 40,
+    REVERSALS_FREE = 8,    /* a vertex may turn round that often before it is damped */
+    SMOOTHING_STEPS = 4,   /* a ball search, fast method */
+    PARALLEL_FROM = 4096   /* fewer items are not worth a thread */
+};
+#define STILL 1e-3 /* of omega: largest movement of a quiet sweep */
+
+typedef struct contraction {
+    skeli_state *s;
+    const skel_options *options;
+    double omega; /* lattice steps */
+    double damping;
+    bool merged_lately; /* damping waits for the welds to have done what they can */
+    bool fast;
+    /* search */
+    int32_t *point;
+    uint32_t *point_weight, *point_of, *order;
+    uint64_t *key;
+    skel_ball_sum *sum;
+} contraction;
+
+static svo_result each(const contraction *c, uint64_t count, svo_range_fn fn, void *user)
+{
+    return svo_parallel_for(count < PARALLEL_FROM ? 1 : c->options->threads, count, count < PARALLEL_FROM ? count : 1024, fn, user, NULL);
+}
+
+/* --- ball means --------------------------------------------------------------------------------------------------- */
+
+/* The literal method keeps all vertices: those that coincide are searched once, with their number as weight. The sums are exact, so
+ * this changes nothing but the time. */
+static uint64_t distinct_points(contraction *c)
+{
+    skeli_state *s = c->s;
+    uint32_t n = s->count;
+    for (uint32_t i = 0; i < n; i++) c->order[i] = i;
+    for (int axis = 0; axis < 3; axis++) {
+        for (uint32_t i = 0; i < n; i++) c->key[i] = (uint64_t)((int64_t)s->position[3 * (uint64_t)i + (uint64_t)axis] + SKEL_LATTICE);
+        skeli_sort_by64(c->order, c->point_of, n, c->key, 25);
+    }
+    uint64_t points = 0;
+    for (uint32_t k = 0; k < n; k++) {
+        const double *p = s->position + 3 * (uint64_t)c->order[k];
+        int32_t q[3] = {(int32_t)p[0], (int32_t)p[1], (int32_t)p[2]};
+        if (k == 0 || memcmp(q, c->point + 3 * (points - 1), sizeof q) != 0) {
+            memcpy(c->point + 3 * points, q, sizeof q);
+            c->point_weight[points++] = 0;
+        }
+        c->point_weight[points - 1] += s->weight[c->order[k]];
+        c->point_of[c->order[k]] = (uint32_t)(points - 1);
+    }
+    return points;
+}
+
+static svo_result ball_means(contraction *c, svo_error *err)
+{
+    skeli_state *s = c->s;
+    uint64_t points = s->count;
+    if (c->fast) {
+        for (uint64_t i = 0; i < 3 * points; i++) c->point[i] = (int32_t)s->position[i];
+        memcpy(c->point_weight, s->weight, points * sizeof *c->point_weight);
+    } else {
+        points = distinct_points(c);
+    }
+    double radius = c->omega / SKEL_LATTICE;
+    if (c->options->search == SKEL_SEARCH_GRID)
+        SVO_TRY(skel_radius_grid(c->options->allocator, c->point, c->point_weight, points, radius, c->options->threads, c->sum, err));
+    else
+        SVO_TRY(skel_radius_flann(c->point, c->point_weight, points, radius, c->options->threads, c->sum, err));
+    for (uint64_t i = 0; i < s->count; i++) {
+        const skel_ball_sum *b = &c->sum[c->fast ? i : c->point_of[i]];
+        s->mean[3 * i] = (double)b->x / (double)b->weight;
+        s->mean[3 * i + 1] = (double)b->y / (double)b->weight;
+        s->mean[3 * i + 2] = (double)b->z / (double)b->weight;
+    }
+    return SVO_OK;
+}
+
+/* --- thickness and smoothing -------------------------------------------------------------------------------------- */
+
+static svo_result triangle_areas(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    skeli_state *s = user;
+    for (uint64_t t = begin; t < end; t++) {
+        const uint32_t *c = s->corner + 3 * t;
+        s->area[t] = skeli_area(s->position + 3 * (uint64_t)c[0], s->position + 3 * (uint64_t)c[1], s->position + 3 * (uint64_t)c[2]);
+    }
+    return SVO_OK;
+}
+
+static svo_result thickness(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    skeli_state *s = user;
+    for (uint64_t i = begin; i < end; i++) {
+        double a = 0;
+        for (uint32_t k = s->incident_start[i]; k < s->incident_start[i + 1]; k++) a += s->area[s->incident[k]];
+        double b = s->rho[i] > 0 && s->edge_start[i + 1] > s->edge_start[i] ? a / s->rho[i] : 0;
+        s->beta[i] = b < 1 ? b : 1;
+    }
+    return SVO_OK;
+}
+
+typedef struct smoothing { const skeli_state *s; const double *from; double *to; } smoothing;
+
+static svo_result smooth(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    const smoothing *m = user;
+    const skeli_state *s = m->s;
+    for (uint64_t i = begin; i < end; i++) {
+        double b = s->beta[i], q[3] = {0, 0, 0};
+        const double *mean = s->mean + 3 * i;
+        double *to = m->to + 3 * i;
+        uint64_t first = s->edge_start[i], last = s->edge_start[i + 1];
+        if (b > 0) {
+            for (uint64_t e = first; e < last; e++) {
+                const double *p = m->from + 3 * (uint64_t)s->edge[2 * e + 1];
+                for (int k = 0; k < 3; k++) q[k] += p[k];
+            }
+            double inverse = 1.0 / (double)(last - first);
+            for (int k = 0; k < 3; k++) to[k] = mean[k] + b * (q[k] * inverse - mean[k]);
+        } else {
+            memcpy(to, mean, 3 * sizeof *to);
+        }
+    }
+    return SVO_OK;
+}
+
+/* --- moving ------------------------------------------------------------------------------------------------------- */
+
+typedef struct movement { double sum, max; } movement; /* lattice steps; sum over original vertices */
+
+/* Take the step to `target` (replaced by what was reached). A vertex that keeps turning round where it should rest is slowed down: such cycles come
+ * from balls that gain and lose a member each sweep. The movement is measured before damping: slowing a vertex down is not convergence. */
+static movement move(contraction *c, double *target)
+{
+    skeli_state *s = c->s;
+    movement m = {0, 0};
+    double noise = 1e-10 * c->omega * c->omega;
+    for (uint64_t i = 0; i < s->count; i++) {
+        double step[3], length2 = 0, last2 = 0, along = 0, *last = s->step + 3 * i, *p = s->position + 3 * i;
+        for (int k = 0; k < 3; k++) {
+            step[k] = target[3 * i + (uint64_t)k] - p[k];
+            length2 += step[k] * step[k];
+            last2 += last[k] * last[k];
+            along += step[k] * last[k];
+        }
+        double length = sqrt(length2), f = 1;
+        m.sum += length * s->weight[i];
+        if (length > m.max) m.max = length;
+        if (c->fast) {
+            if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i]++;
+            if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 * (s->reversals[i] - REVERSALS_FREE));
+            if (f < 0.02) f = 0.02;
+            f *= c->damping;
+        }
+        for (int k = 0; k < 3; k++) {
+            last[k] = f * step[k];
+            p[k] = rint(p[k] + last[k]);
+        }
+    }
+    return m;
+}
+
+static svo_result sweep(contraction *c, movement *m, svo_error *err)
+{
+    skeli_state *s = c->s;
+    SVO_TRY(ball_means(c, err));
+    SVO_TRY(each(c, s->triangle_count, triangle_areas, s));
+    SVO_TRY(each(c, s->count, thickness, s));
+    double *from = s->position, *to = s->next, *spare = s->gather;
+    int steps = c->fast ? SMOOTHING_STEPS : 1;
+    for (int i = 0; i < steps; i++) {
+        smoothing work = {s, from, to};
+        SVO_TRY(each(c, s->count, smooth, &work));
+        from = to;
+        to = to == s->next ? spare : s->next;
+    }
+    *m = move(c, from);
+    return SVO_OK;
+}
+
+/* --- state -------------------------------------------------------------------------------------------------------- */
+
+static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_state *s, svo_error *err)
+{
+    uint64_t n = mesh->vertex_count, f = mesh->triangle_count, edges = 6 * f;
+    memset(s, 0, sizeof *s);
+    s->count = s->original_count = mesh->vertex_count;
+    s->position = skeli_take(pool, 3 * n, sizeof *s->position);
+    s->weight = skeli_take(pool, n, sizeof *s->weight);
+    s->rho = skeli_take(pool, n, sizeof *s->rho);
+    s->beta = skeli_take(pool, n, sizeof *s->beta);
+    s->step = skeli_take(pool, 3 * n, sizeof *s->step);
+    s->reversals = skeli_take(pool, n, sizeof *s->reversals);
+    s->corner = skeli_take(pool, 3 * f, sizeof *s->corner);
+    s->edge = skeli_take(pool, 2 * edges, sizeof *s->edge);
+    s->edge_start = skeli_take(pool, n + 1, sizeof *s->edge_start);
+    s->incident_start = skeli_take(pool, n + 1, sizeof *s->incident_start);
+    s->incident = skeli_take(pool, 3 * f, sizeof *s->incident);
+    s->area = skeli_take(pool, f, sizeof *s->area);
+    s->live = skeli_take(pool, n, sizeof *s->live);
+    s->scratch = skeli_take(pool, 2 * edges, sizeof *s->scratch);
+    s->bucket = skeli_take(pool, n + 2, sizeof *s->bucket);
+    s->label = skeli_take(pool, n, sizeof *s->label);
+    s->mean = skeli_take(pool, 3 * n, sizeof *s->mean);
+    s->next = skeli_take(pool, 3 * n, sizeof *s->next);
+    s->gather = skeli_take(pool, 8 * n, sizeof *s->gather);
+    if (s->position == NULL || s->weight == NULL || s->rho == NULL || s->beta == NULL || s->step == NULL || s->reversals == NULL ||
+        s->corner == NULL || s->edge == NULL || s->edge_start == NULL || s->incident_start == NULL || s->incident == NULL ||
+        s->area == NULL || s->live == NULL || s->scratch == NULL || s->bucket == NULL || s->label == NULL || s->mean == NULL ||
+        s->next == NULL || s->gather == NULL)
+        return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 3 * n; i++) s->position[i] = mesh->position[i];
+    memset(s->step, 0, 3 * n * sizeof *s->step);
+    memset(s->reversals, 0, n * sizeof *s->reversals);
+    for (uint32_t i = 0; i < n; i++) {
+        s->weight[i] = 1;
+        s->beta[i] = 1;
+        s->live[i] = i;
+    }
+    skeli_rings(mesh, s->position, s->rho);
+    for (uint64_t t = 0; t < f; t++) {
+        const uint32_t *c = mesh->corner + 3 * t;
+        if (c[0] != c[1] && c[1] != c[2]) memcpy(s->corner + 3 * (uint64_t)s->triangle_count++, c, 3 * sizeof *c);
+        for (int k = 0; k < 3; k++) {
+            uint32_t a = c[k], b = c[(k + 1) % 3];
+            if (a == b) continue;
+            uint32_t *e = s->edge + 2 * s->edge_count;
+            e[0] = e[3] = a;
+            e[1] = e[2] = b;
+            s->edge_count += 2;
+        }
+    }
+    s->edge_count = skeli_sort_unique(s->edge, s->edge_count, 2, s->count, s->scratch, s->bucket);
+    skeli_index(s);
+    return SVO_OK;
+}
+
+static svo_result weld_live(contraction *c, uint32_t *removed, svo_error *err)
+{
+    uint32_t groups;
+    SVO_TRY(skeli_weld(c->options->allocator, c->s->position, c->s->count, NULL, c->omega / 8, c->s->label, &groups, err));
+    *removed = c->s->count - groups;
+    if (groups < c->s->count) skeli_collapse(c->s, groups);
+    return SVO_OK;
+}
+
+/* Equation 5.7.1: area of the tessellated mesh with its vertices where they were contracted to, percent of the original. (Sums of
+ * one-ring areas count every triangle three times, in both.) */
+static double thinness_error(const skeli_soup *mesh, const skeli_state *s)
+{
+    double before = 0, after = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
+        double p[3][3], q[3][3];
+        for (int k = 0; k < 3; k++) {
+            uint32_t v = mesh->corner[3 * t + (uint64_t)k];
+            for (int j = 0; j < 3; j++) p[k][j] = mesh->position[3 * (uint64_t)v + (uint64_t)j];
+            memcpy(q[k], s->position + 3 * (uint64_t)s->live[v], sizeof q[k]);
+        }
+        before += skeli_area(p[0], p[1], p[2]);
+        after += skeli_area(q[0], q[1], q[2]);
+    }
+    return before > 0 ? 100 * after / before : 0;
+}
+
+static svo_result run(contraction *c, skel_report *report, svo_error *err)
+{
+    const skel_options *o = c->options;
+    uint64_t limit = o->max_iterations != 0 ? o->max_iterations : 6000, last_weld = 0, last_removal = 0;
+    uint32_t interval = FIRST_INTERVAL, quiet = 0;
+    movement m = {0, 0};
+    for (uint64_t it = 1; it <= limit && !report->converged; it++) {
+        c->merged_lately = it - last_removal <= 150;
+        SVO_TRY(sweep(c, &m, err));
+        report->iterations = it;
+        quiet = m.max < STILL * c->omega ? quiet + 1 : 0;
+        report->converged = o->delta > 0 ? m.sum < o->delta * SKEL_LATTICE : quiet >= STILL_SWEEPS;
+        if (o->progress != NULL && !o->progress(o->user, (double)it / (double)limit))
+            return svo_fail(err, SVO_CANCELLED, "cancelled after %llu sweeps", (unsigned long long)it);
+        if (!c->fast) continue;
+        if (it - last_removal > 300 && c->damping > 0.1) c->damping *= 0.99;
+        if (it - last_weld < interval) continue;
+        uint32_t before = c->s->count, removed;
+        SVO_TRY(weld_live(c, &removed, err));
+        if (removed > 0) {
+            last_removal = it;
+            c->damping = 1;
+        }
+        if (removed * 100ull < before * 3ull) interval = interval * 2 < LAST_INTERVAL ? interval * 2 : LAST_INTERVAL;
+        else interval = FIRST_INTERVAL;
+        last_weld = it;
+    }
+    report->final_movement_sum = m.sum / SKEL_LATTICE;
+    report->final_movement_max = m.max / SKEL_LATTICE;
+    return SVO_OK;
+}
+
+svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, skel_report *report, skeli_state *s,
+                          svo_error *err)
+{
+    SVO_TRY(begin_state(pool, mesh, s, err));
+    uint64_t n = s->count;
+    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .damping = 1, .fast = options->method == SKEL_METHOD_FAST};
+    c.point = skeli_take(pool, 3 * n, sizeof *c.point);
+    c.point_weight = skeli_take(pool, n, sizeof *c.point_weight);
+    c.sum = skeli_take(pool, n, sizeof *c.sum);
+    bool ok = c.point != NULL && c.point_weight != NULL && c.sum != NULL;
+    if (!c.fast) {
+        c.point_of = skeli_take(pool, n, sizeof *c.point_of);
+        c.order = skeli_take(pool, n, sizeof *c.order);
+        c.key = skeli_take(pool, n, sizeof *c.key);
+        ok = ok && c.point_of != NULL && c.order != NULL && c.key != NULL;
+    }
+    if (!ok) return skeli_no_memory(err);
+    SVO_TRY(run(&c, report, err));
+    report->thinness_error = thinness_error(mesh, s);
+    skeli_give(pool, c.point);
+    skeli_give(pool, c.point_weight);
+    skeli_give(pool, c.sum);
+    skeli_give(pool, c.point_of);
+    skeli_give(pool, c.order);
+    skeli_give(pool, c.key);
+    return SVO_OK;
+}
