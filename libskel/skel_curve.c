@@ -43,10 +43,10 @@ static svo_result weld_all(skeli_pool *pool, const skeli_soup *mesh, const skeli
     SVO_TRY(skeli_weld(pool->allocator, s->position, n, order, o->omega * SKEL_LATTICE, label, &c->welded, err));
     for (uint32_t v = 0; v < mesh->vertex_count; v++) c->joint_of[v] = label[s->live[v]];
     /* contracted positions */
-    c->position = skeli_take(pool, 3 * 2 * (uint64_t)c->welded + 3, sizeof *c->position);
+    c->position = skeli_take(pool, 3 * (uint64_t)c->welded, sizeof *c->position);
     double *weight = skeli_take(pool, c->welded, sizeof *weight);
     if (c->position == NULL || weight == NULL) return skeli_no_memory(err);
-    memset(c->position, 0, 3 * 2 * (uint64_t)c->welded * sizeof *c->position);
+    memset(c->position, 0, 3 * (uint64_t)c->welded * sizeof *c->position);
     memset(weight, 0, c->welded * sizeof *weight);
     for (uint32_t i = 0; i < n; i++) {
         weight[label[i]] += s->weight[i];
@@ -154,6 +154,11 @@ static svo_result replace_triangles(skeli_pool *pool, curve *c, svo_error *err)
     c->bone = bone;
     c->bones = kept;
     c->joints = c->welded + c->groups;
+    double *position = skeli_take(pool, 3 * (uint64_t)c->joints, sizeof *position);
+    if (position == NULL) return skeli_no_memory(err);
+    memcpy(position, c->position, 3 * (uint64_t)c->welded * sizeof *position);
+    skeli_give(pool, c->position);
+    c->position = position;
     return SVO_OK;
 }
 
@@ -233,7 +238,7 @@ static svo_result fold_leaves(skeli_pool *pool, const skeli_soup *mesh, curve *c
 static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, curve *c, skel_skeleton *out, svo_error *err)
 {
     uint32_t n = c->joints;
-    uint32_t *parent = skeli_take(pool, n, sizeof *parent), *order = skeli_take(pool, n, sizeof *order);
+    uint32_t *parent = skeli_take(pool, (uint64_t)n + 1, sizeof *parent), *order = skeli_take(pool, n, sizeof *order);
     uint32_t *place = skeli_take(pool, (uint64_t)n + 1, sizeof *place), *scratch = skeli_take(pool, 2 * c->bones + n, sizeof *scratch);
     uint64_t *key = skeli_take(pool, n, sizeof *key);
     if (parent == NULL || order == NULL || place == NULL || scratch == NULL || key == NULL) return skeli_no_memory(err);
