@@ -8,14 +8,17 @@
 extern "C" {
 #endif
 
-/* How values of a channel are reduced. bits == 0: lossless. Colours: a table of 2^bits entries clustered in CIELAB
- * (seed 2.4.3); normals: octahedral with bits in all. Other kinds are always lossless. */
+/* How values of a channel are reduced. All zero: lossless. Colours: a table of 2^bits entries clustered in CIELAB
+ * (seed 2.4.3); normals: octahedral with bits in all. With a bound instead of bits, every attribute (inner nodes too)
+ * is within it. Other kinds are always lossless. */
 typedef struct svo_dag_options {
-    bool lod;            /* give inner nodes the averages of what is below */
-    uint32_t color_bits; /* 0 or 1..16 */
-    uint32_t normal_bits; /* 0 or 4..32 (even) */
-    uint32_t threads;    /* 0 = all */
-    uint64_t memory;     /* 0 = no limit; more is SVO_LIMIT */
+    bool lod;              /* give inner nodes the averages of what is below */
+    uint32_t color_bits;   /* 0 or 1..16 */
+    double color_delta_e;  /* > 0: largest CIE94 difference of any attribute; color_bits must be 0 */
+    uint32_t normal_bits;  /* 0 or 4..32 (even) */
+    double normal_degrees; /* > 0: largest angle of any attribute; normal_bits must be 0 */
+    uint32_t threads;      /* 0 = all */
+    uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT */
     const svo_allocator *allocator;
     svo_warnings *warnings;
 } svo_dag_options;
@@ -34,8 +37,10 @@ typedef struct svo_dag_report {
     uint64_t geometry_bytes, attribute_bytes, attributes;
     uint32_t channel_count;
     svo_dag_channel_report channels[SVO_MAX_CHANNELS];
-    uint64_t peak_bytes;
-    double seconds_read, seconds_geometry, seconds_attributes;
+    uint64_t peak_bytes;       /* of memory charged to `memory` */
+    double seconds_read;       /* until the last chunk was in: reading, averaging and merging */
+    double seconds_geometry;   /* laying out the merged nodes */
+    double seconds_attributes; /* quantising and packing */
 } svo_dag_report;
 
 /* A packed octree in memory; `view` points into it. */
@@ -43,7 +48,10 @@ typedef struct svo_packed svo_packed;
 const svo_view *svo_packed_view(const svo_packed *p);
 void svo_packed_free(svo_packed *p);
 
-/* Builder as a sink for chunks (for instance straight from svo_voxelize). */
+/* Builder as a sink for chunks (for instance straight from svo_voxelize). The average of an inner node is that of the
+ * finest voxels below it: colours in linear light, normals as vectors, unorms linearly, labels by majority (ties: the
+ * smaller); sums are exact integers (svoi_sum), so neither threads nor chunks show. Where all values are equal it is
+ * that value; where normals cancel it is the first voxel's. */
 typedef struct svo_dag_builder svo_dag_builder;
 svo_result svo_dag_builder_create(const svo_tree_info *info, const svo_dag_options *options, svo_dag_builder **out, svo_error *err);
 svo_chunk_sink svo_dag_builder_sink(svo_dag_builder *b);

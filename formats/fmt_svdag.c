@@ -1,0 +1,278 @@
+#include "fmt_svdag.h"
+
+#include <string.h>
+
+#include "fmti_svo.h"
+
+#define HEAD FMT_FOURCC('H', 'E', 'A', 'D')
+#define NODE FMT_FOURCC('N', 'O', 'D', 'E')
+#define BRCK FMT_FOURCC('B', 'R', 'C', 'K')
+#define ARAW FMT_FOURCC('A', 'R', 'A', 'W')
+#define ATBL FMT_FOURCC('A', 'T', 'B', 'L')
+#define ADIR FMT_FOURCC('A', 'D', 'I', 'R')
+#define APAY FMT_FOURCC('A', 'P', 'A', 'Y')
+
+enum { HEAD_FIXED = 336, RECORD = 48, LAYOUT_PLAIN = 1, NODE_HEAD = 4 /* words */ };
+
+static const uint32_t known[] = {HEAD, NODE, BRCK, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
+enum { KNOWN = sizeof known / sizeof known[0] };
+
+/* --- writing ----------------------------------------------------------------------------------------------------- */
+
+static void store_f64(uint8_t *p, double v)
+{
+    uint64_t bits;
+    memcpy(&bits, &v, 8);
+    fmt_store64(p, bits);
+}
+
+static size_t store_head(const svo_view *v, uint8_t *b)
+{
+    memset(b, 0, HEAD_FIXED + RECORD * SVO_MAX_CHANNELS);
+    fmt_store32(b, v->depth);
+    fmt_store32(b + 4, LAYOUT_PLAIN);
+    b[8] = (uint8_t)v->surface;
+    b[9] = (uint8_t)v->fill;
+    fmt_store16(b + 10, (uint16_t)v->channel_count);
+    fmt_store32(b + 12, v->lod ? 1 : 0);
+    for (int i = 0; i < 16; i++) store_f64(b + 16 + 8 * i, v->voxel_to_world[i]);
+    fmt_store64(b + 144, v->attribute_count);
+    fmt_store32(b + 152, v->root);
+    for (uint32_t i = 0; i <= SVO_MAX_DEPTH; i++) fmt_store64(b + 160 + 8 * i, v->nodes[i]);
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        uint8_t *r = b + HEAD_FIXED + RECORD * i;
+        fmti_store_channel(&v->channels[i].channel, r);
+        fmt_store32(r + 32, (uint32_t)v->channels[i].encoding);
+        if (v->channels[i].encoding == SVO_ENCODING_BLOCKS) fmt_store64(r + 40, v->channels[i].table_count);
+    }
+    return HEAD_FIXED + RECORD * (size_t)v->channel_count;
+}
+
+static svo_result put(fmt_writer *w, uint32_t type, uint64_t id, uint64_t count, uint32_t stride, const void *bytes, svo_error *err)
+{
+    fmt_chunk c = {.type = type, .flags = FMT_CHUNK_CRITICAL, .stored_size = count * stride, .decoded_size = count * stride,
+                   .element_count = count, .element_stride = stride, .id = id};
+    return fmt_writer_chunk(w, &c, bytes, err);
+}
+
+static svo_result put_level(fmt_writer *w, const svo_view_level *l, uint32_t level, svo_error *err)
+{
+    /* Head and words are one payload; a level is copied once so that they lie behind each other. */
+    uint64_t words = l->word_count + NODE_HEAD;
+    uint32_t *copy = svo_alloc(NULL, words, sizeof *copy);
+    if (copy == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory writing level %u", level);
+    copy[0] = l->offset_words;
+    copy[1] = 0;
+    copy[2] = (uint32_t)l->node_count;
+    copy[3] = (uint32_t)(l->node_count >> 32);
+    memcpy(copy + NODE_HEAD, l->words, (size_t)l->word_count * sizeof *copy);
+    svo_result r = put(w, NODE, level, words, 4, copy, err);
+    svo_free(NULL, copy, words, sizeof *copy);
+    return r;
+}
+
+static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_error *err)
+{
+    const svo_view_channel *c = &v->channels[i];
+    uint32_t stride = svo_channel_stride(c->channel.kind);
+    if (c->encoding == SVO_ENCODING_RAW) return put(w, ARAW, i, v->attribute_count, stride, c->raw, err);
+    if (c->encoding != SVO_ENCODING_BLOCKS) return SVO_OK;
+    SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
+    SVO_TRY(put(w, ADIR, i, c->superblock_count, 8, c->directory, err));
+    return put(w, APAY, i, c->payload_size, 1, c->payload, err);
+}
+
+static svo_result put_all(fmt_writer *w, const svo_view *v, const char *provenance, svo_error *err)
+{
+    uint8_t head[HEAD_FIXED + RECORD * SVO_MAX_CHANNELS];
+    size_t size = store_head(v, head);
+    fmt_chunk c = {.type = HEAD, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
+    SVO_TRY(fmt_writer_chunk(w, &c, head, err));
+    if (!v->empty) {
+        for (uint32_t l = 0; l < v->brick_level; l++) SVO_TRY(put_level(w, &v->levels[l], l, err));
+        SVO_TRY(put(w, BRCK, 0, v->brick_count, 8, v->bricks, err));
+    }
+    for (uint32_t i = 0; i < v->channel_count; i++) SVO_TRY(put_channel(w, v, i, err));
+    return fmt_writer_meta(w, provenance, err);
+}
+
+svo_result fmt_svdag_write(fmt_output *out, const svo_view *view, const char *provenance, svo_error *err)
+{
+    fmt_writer *w;
+    SVO_TRY(fmt_writer_begin(out, FMT_KIND_SVDAG, 1, 0, &w, err));
+    svo_result r = put_all(w, view, provenance, err);
+    if (r == SVO_OK) return fmt_writer_end(w, err);
+    fmt_writer_discard(w);
+    return r;
+}
+
+/* --- reading ----------------------------------------------------------------------------------------------------- */
+
+typedef struct reader {
+    const fmt_container *c;
+    uint32_t next; /* chunk */
+    svo_error *err;
+} reader;
+
+static svo_result bad(reader *r, const fmt_chunk *c, const char *why)
+{
+    return fmt_chunk_fail(r->err, SVO_INVALID_DATA, c->type, c->offset, "%s", why);
+}
+
+/* The next chunk, which must be of this type and id; its payload, hash checked. stride 0: any. */
+static svo_result take(reader *r, uint32_t type, uint64_t id, uint32_t stride, const fmt_chunk **chunk, const uint8_t **bytes)
+{
+    while (r->next < r->c->chunk_count && fmt_chunk_skip(&r->c->chunks[r->next], known, KNOWN)) r->next++;
+    char name[5];
+    fmt_fourcc_text(type, name);
+    if (r->next == r->c->chunk_count) return svo_fail(r->err, SVO_INVALID_DATA, "chunk %s is missing (DAG-01)", name);
+    const fmt_chunk *c = &r->c->chunks[r->next];
+    if (c->type != type || c->id != id)
+        return fmt_chunk_fail(r->err, SVO_INVALID_DATA, c->type, c->offset, "chunk %s %llu must come here (DAG-01)", name, (unsigned long long)id);
+    if (c->codec != FMT_CODEC_NONE || c->flags != FMT_CHUNK_CRITICAL) return bad(r, c, "it must be critical and not compressed (DAG-01)");
+    if (stride != 0 && c->element_stride != stride) return bad(r, c, "wrong element stride (DAG-08)");
+    SVO_TRY(fmt_container_payload(r->c, c, bytes, r->err));
+    r->next++;
+    *chunk = c;
+    return SVO_OK;
+}
+
+static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t *b, svo_view_channel *c)
+{
+    const char *why = fmti_parse_channel(b, &c->channel);
+    if (why != NULL) return bad(r, chunk, why);
+    uint32_t encoding = fmt_load32(b + 32);
+    c->table_count = fmt_load64(b + 40);
+    if (encoding > SVO_ENCODING_BLOCKS || fmt_load32(b + 36) != 0) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
+    c->encoding = (svo_encoding)encoding;
+    if (c->channel.constant != (c->encoding == SVO_ENCODING_CONSTANT)) return bad(r, chunk, "constant flag and encoding of a channel disagree (DAG-02)");
+    if ((c->encoding == SVO_ENCODING_BLOCKS) != (c->table_count != 0)) return bad(r, chunk, "table size and encoding of a channel disagree (DAG-02)");
+    return SVO_OK;
+}
+
+static svo_result parse_head(reader *r, svo_view *v)
+{
+    const fmt_chunk *chunk;
+    const uint8_t *b;
+    SVO_TRY(take(r, HEAD, 0, 0, &chunk, &b));
+    if (chunk->stored_size < HEAD_FIXED || chunk->element_stride != 0 || chunk->element_count != 0) return bad(r, chunk, "HEAD is too short (DAG-02)");
+    uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
+    if (layout != LAYOUT_PLAIN)
+        return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
+    if ((flags & ~1u) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
+    svo_tree_info info;
+    memset(&info, 0, sizeof info);
+    info.depth = fmt_load32(b);
+    info.surface = (svo_surface)b[8];
+    info.fill = (svo_fill)b[9];
+    info.channel_count = fmt_load16(b + 10);
+    for (int i = 0; i < 16; i++) {
+        uint64_t bits = fmt_load64(b + 16 + 8 * i);
+        memcpy(&info.voxel_to_world[i], &bits, 8);
+    }
+    if (info.channel_count > SVO_MAX_CHANNELS || chunk->stored_size != HEAD_FIXED + RECORD * (uint64_t)info.channel_count)
+        return bad(r, chunk, "size of HEAD and number of channels disagree (DAG-02)");
+    for (uint32_t i = 0; i < info.channel_count; i++) {
+        SVO_TRY(parse_record(r, chunk, b + HEAD_FIXED + RECORD * i, &v->channels[i]));
+        info.channels[i] = v->channels[i].channel;
+    }
+    const char *why = fmti_check_info(&info);
+    if (why != NULL) return bad(r, chunk, why);
+    v->depth = info.depth;
+    v->tree_depth = info.depth < 2 ? 2 : info.depth;
+    v->brick_level = v->tree_depth - 2;
+    v->lod = (flags & 1) != 0;
+    v->root = fmt_load32(b + 152);
+    v->attribute_count = fmt_load64(b + 144);
+    v->empty = fmt_load64(b + 160) == 0;
+    for (uint32_t i = 0; i <= SVO_MAX_DEPTH; i++) v->nodes[i] = fmt_load64(b + 160 + 8 * i);
+    memcpy(v->voxel_to_world, info.voxel_to_world, sizeof v->voxel_to_world);
+    v->surface = info.surface;
+    v->fill = info.fill;
+    v->channel_count = info.channel_count;
+    return SVO_OK;
+}
+
+static svo_result parse_geometry(reader *r, svo_view *v)
+{
+    const fmt_chunk *chunk;
+    const uint8_t *b;
+    if (v->empty) return SVO_OK;
+    for (uint32_t l = 0; l < v->brick_level; l++) {
+        SVO_TRY(take(r, NODE, l, 4, &chunk, &b));
+        if (chunk->element_count < NODE_HEAD) return bad(r, chunk, "too short (DAG-03)");
+        if (fmt_load32(b + 4) != 0) return bad(r, chunk, "a reserved field is not 0 (DAG-03)");
+        v->levels[l] = (svo_view_level){.words = (const uint32_t *)(const void *)b + NODE_HEAD, .word_count = chunk->element_count - NODE_HEAD,
+                                        .node_count = fmt_load64(b + 8), .offset_words = fmt_load32(b)};
+    }
+    SVO_TRY(take(r, BRCK, 0, 8, &chunk, &b));
+    v->bricks = (const uint64_t *)(const void *)b;
+    v->brick_count = chunk->element_count;
+    return SVO_OK;
+}
+
+static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
+{
+    svo_view_channel *c = &v->channels[i];
+    uint32_t stride = svo_channel_stride(c->channel.kind);
+    const fmt_chunk *chunk;
+    const uint8_t *b;
+    if (c->encoding == SVO_ENCODING_CONSTANT) return SVO_OK;
+    if (c->encoding == SVO_ENCODING_RAW) {
+        SVO_TRY(take(r, ARAW, i, stride, &chunk, &c->raw));
+        return chunk->element_count == v->attribute_count ? SVO_OK : bad(r, chunk, "wrong number of values (DAG-08)");
+    }
+    SVO_TRY(take(r, ATBL, i, stride, &chunk, &c->table));
+    if (chunk->element_count != c->table_count) return bad(r, chunk, "wrong number of table entries (DAG-08)");
+    SVO_TRY(take(r, ADIR, i, 8, &chunk, &b));
+    c->directory = (const uint64_t *)(const void *)b;
+    c->superblock_count = chunk->element_count;
+    SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
+    c->payload_size = chunk->stored_size;
+    return SVO_OK;
+}
+
+static svo_result parse(reader *r, fmt_svdag *f)
+{
+    svo_view *v = &f->view;
+    for (uint32_t i = 0; i < r->c->chunk_count; i++) SVO_TRY(fmt_chunk_known(&r->c->chunks[i], known, KNOWN, r->err));
+    SVO_TRY(parse_head(r, v));
+    SVO_TRY(parse_geometry(r, v));
+    for (uint32_t i = 0; i < v->channel_count; i++) SVO_TRY(parse_channel(r, v, i));
+    for (; r->next < r->c->chunk_count; r->next++) {
+        const fmt_chunk *c = &r->c->chunks[r->next];
+        if (c->type != FMT_TYPE_META && !fmt_chunk_skip(c, known, KNOWN)) return bad(r, c, "a chunk too many or in the wrong place (DAG-01, DAG-08)");
+    }
+    /* payloads that nobody reads are checked too, so that damage is never passed on */
+    for (uint32_t i = 0; i < r->c->chunk_count; i++) {
+        const uint8_t *bytes;
+        if (fmt_chunk_skip(&r->c->chunks[i], known, KNOWN) && r->c->chunks[i].codec == FMT_CODEC_NONE)
+            SVO_TRY(fmt_container_payload(r->c, &r->c->chunks[i], &bytes, r->err));
+    }
+    SVO_TRY(fmt_container_meta(r->c, f->allocator, &f->provenance, r->err));
+    return svo_view_validate(v, f->allocator, r->err);
+}
+
+svo_result fmt_svdag_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_svdag *out, svo_error *err)
+{
+    fmt_svdag f;
+    memset(&f, 0, sizeof f);
+    f.allocator = a;
+    SVO_TRY(fmt_container_open(data, size, a, &f.container, err));
+    reader r = {.c = &f.container, .err = err};
+    svo_result result = f.container.kind == FMT_KIND_SVDAG ? parse(&r, &f) : svo_fail(err, SVO_INVALID_DATA, "not a .svdag file but another kind of svokit file");
+    if (result != SVO_OK) {
+        fmt_svdag_close(&f);
+        return result;
+    }
+    *out = f;
+    return SVO_OK;
+}
+
+void fmt_svdag_close(fmt_svdag *f)
+{
+    if (f == NULL) return;
+    fmt_meta_free(f->allocator, f->provenance);
+    fmt_container_close(&f->container);
+    memset(f, 0, sizeof *f);
+}

@@ -1,0 +1,81 @@
+#include "svo_view.h"
+
+#include <string.h>
+
+#include "svo_morton.h"
+#include "svo_palette.h"
+
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "files are mapped and used in place: little-endian hosts only");
+
+void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out)
+{
+    const svo_view_channel *c = &v->channels[channel];
+    uint32_t stride = svo_channel_stride(c->channel.kind);
+    SVO_ASSERT(channel < v->channel_count && index < v->attribute_count);
+    switch (c->encoding) {
+    case SVO_ENCODING_CONSTANT: memcpy(out, c->channel.value, stride); break;
+    case SVO_ENCODING_RAW: memcpy(out, c->raw + index * stride, stride); break;
+    case SVO_ENCODING_BLOCKS: {
+        uint32_t i = svo_palette_index(c->directory, c->payload, svo_palette_table_bits(c->table_count), index);
+        memcpy(out, c->table + (size_t)i * stride, stride);
+        break;
+    }
+    }
+}
+
+uint32_t svo_view_find_channel(const svo_view *v, const char *name)
+{
+    for (uint32_t i = 0; i < v->channel_count; i++)
+        if (strncmp(v->channels[i].channel.name, name, sizeof v->channels[i].channel.name) == 0) return i;
+    return SVO_MAX_CHANNELS;
+}
+
+bool svo_view_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index)
+{
+    SVO_ASSERT(x >> v->depth == 0 && y >> v->depth == 0 && z >> v->depth == 0);
+    if (v->empty) return false;
+    svo_view_node n = {v->root, 0};
+    for (uint32_t level = 0; level < v->brick_level; level++) {
+        uint32_t bit = v->tree_depth - 1 - level;
+        uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2;
+        if (!(svo_view_mask(v, level, n.ref) >> octant & 1)) return false;
+        n = svo_view_child(v, level, n, octant);
+    }
+    uint32_t b = (uint32_t)svo_morton_encode(x & 3, y & 3, z & 3);
+    uint64_t brick = v->bricks[n.ref];
+    if (!(brick >> b & 1)) return false;
+    if (index != NULL) *index = svo_brick_voxel(v->lod, brick, n.attribute, b);
+    return true;
+}
+
+bool svo_view_voxels(const svo_view *v, svo_view_voxel_fn fn, void *user)
+{
+    if (v->empty) return true;
+    struct { svo_view_node node; uint64_t code; uint32_t left; } stack[SVO_MAX_DEPTH]; /* left: children not yet visited */
+    uint32_t level = 0;
+    stack[0].node = (svo_view_node){v->root, 0};
+    stack[0].code = 0;
+    stack[0].left = v->brick_level != 0 ? svo_view_mask(v, 0, v->root) : 0;
+    for (;;) {
+        if (level == v->brick_level) {
+            uint64_t brick = v->bricks[stack[level].node.ref];
+            for (uint64_t m = brick; m != 0; m &= m - 1) {
+                uint32_t b = (uint32_t)__builtin_ctzll(m), x, y, z;
+                svo_morton_decode(stack[level].code << 6 | b, &x, &y, &z);
+                if (!fn(user, x, y, z, svo_brick_voxel(v->lod, brick, stack[level].node.attribute, b))) return false;
+            }
+            if (level == 0) return true;
+            level--;
+        }
+        while (stack[level].left == 0) {
+            if (level == 0) return true;
+            level--;
+        }
+        uint32_t octant = (uint32_t)__builtin_ctz(stack[level].left);
+        stack[level].left &= stack[level].left - 1;
+        stack[level + 1].node = svo_view_child(v, level, stack[level].node, octant);
+        stack[level + 1].code = stack[level].code << 3 | octant;
+        level++;
+        if (level < v->brick_level) stack[level].left = svo_view_mask(v, level, stack[level].node.ref);
+    }
+}

@@ -1,0 +1,153 @@
+/* Internal to libsvo: the parts of the DAG builder. Not installed.
+ *
+ * While building, a node is (mask, references) where a reference is the NUMBER of a node of the next level, or of a
+ * brick; numbers are given in order of first appearance in the octree's depth-first order. The layout of the packed
+ * file (word positions, offsets) is made from that at the end, so that other layouts can be made from the same. */
+#ifndef SVOI_DAG_H
+#define SVOI_DAG_H
+
+#include "svo_dag.h"
+
+/* --- distinct bricks, distinct nodes of a level ------------------------------------------------------------------ */
+
+typedef struct svoi_bricks {
+    const svo_allocator *a;
+    uint64_t *bits;
+    uint64_t count, capacity;
+    uint64_t *slots; /* high half: tag of the hash, low half: number + 1 (0 = empty) */
+    uint64_t slot_count;
+} svoi_bricks;
+
+typedef struct svoi_nodes {
+    const svo_allocator *a;
+    uint32_t *items; /* mask, references */
+    uint64_t item_count, item_capacity;
+    uint32_t *start; /* of a node in items */
+    uint64_t start_capacity;
+    uint64_t *size; /* attributes of a node's subtree, itself included where it has one */
+    uint64_t size_capacity;
+    uint64_t count;
+    uint64_t *slots;
+    uint64_t slot_count;
+} svoi_nodes;
+
+/* Number of the brick, new or old. SVO_OUT_OF_MEMORY, or SVO_LIMIT when 32 bits do not suffice. */
+svo_result svoi_bricks_insert(svoi_bricks *b, uint64_t bits, uint32_t *number);
+void svoi_bricks_free(svoi_bricks *b);
+/* `size` must follow from mask and refs. */
+svo_result svoi_nodes_insert(svoi_nodes *n, uint32_t mask, const uint32_t *refs, uint64_t size, uint32_t *number);
+void svoi_nodes_free(svoi_nodes *n);
+/* The hash tables are not needed any more. */
+void svoi_bricks_seal(svoi_bricks *b);
+void svoi_nodes_seal(svoi_nodes *n);
+
+/* Attributes of a brick's subtree. */
+static inline uint64_t svoi_brick_size(bool lod, uint64_t bits)
+{
+    uint64_t n = (uint64_t)__builtin_popcountll(bits);
+    return lod ? n + 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(bits)) : n;
+}
+
+/* --- averages ---------------------------------------------------------------------------------------------------- */
+
+/* What is known of the finest voxels below a node, exactly: integers, so that no order of summation shows.
+ * Colours: linear light * 2^35, which is exact for the 256 float values of svo_srgb_to_linear; normals: components *
+ * 2^35, rounded; unorms: the value. 128 bits, so that 2^63 voxels fit. */
+__extension__ typedef __int128 svoi_wide;
+typedef struct svoi_sum {
+    svoi_wide s[3];
+    uint64_t n;     /* finest voxels */
+    uint32_t first; /* value of the first one (little-endian bytes) */
+    bool uniform;   /* all values are equal */
+} svoi_sum;
+
+/* Labels below a node, ascending, each with its finest voxels. */
+typedef struct svoi_label { uint64_t voxels; uint32_t id; } svoi_label;
+typedef struct svoi_labels {
+    const svo_allocator *a;
+    svoi_label *label;
+    uint64_t count, capacity;
+} svoi_labels;
+bool svoi_labels_merge(svoi_labels *to, const svoi_label *more, uint64_t count); /* false: out of memory */
+void svoi_labels_free(svoi_labels *l);
+
+static inline bool svoi_is_label(svo_channel_kind k) { return k == SVO_KIND_ID16 || k == SVO_KIND_ID32; }
+void svoi_sum_add(svoi_sum *to, const svoi_sum *s);
+/* The average as a value of the kind. */
+void svoi_sum_value(const svoi_sum *s, svo_channel_kind kind, uint8_t *out);
+void svoi_labels_value(const svoi_label *l, uint64_t count, svo_channel_kind kind, uint8_t *out);
+
+/* One channel of one chunk: all attributes in stored order (svo_dag.h: with `virtual_levels` copies of the root's in
+ * front), and the sum or labels of the whole chunk for the levels above. Without lod only the values are copied. */
+svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, uint32_t virtual_levels,
+                                 uint8_t *out, svoi_sum *sum, svoi_labels *labels);
+
+/* --- attribute streams ------------------------------------------------------------------------------------------- */
+
+/* All values of a channel, in pages, so that growing copies nothing. */
+enum { SVOI_PAGE_BITS = 16, SVOI_PAGE = 1 << SVOI_PAGE_BITS };
+typedef struct svoi_values {
+    const svo_allocator *a;
+    uint32_t stride;
+    uint64_t count;
+    uint8_t **page;
+    uint64_t page_count, page_capacity;
+} svoi_values;
+/* `values` NULL appends zeros. False: out of memory. */
+bool svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count);
+static inline uint8_t *svoi_values_at(const svoi_values *v, uint64_t i)
+{
+    return v->page[i >> SVOI_PAGE_BITS] + (i & (SVOI_PAGE - 1)) * v->stride;
+}
+void svoi_values_free(svoi_values *v);
+
+static inline uint32_t svoi_load_value(const uint8_t *p, uint32_t stride)
+{
+    uint32_t v = p[0];
+    if (stride > 1) v |= (uint32_t)p[1] << 8;
+    if (stride > 2) v |= (uint32_t)p[2] << 16;
+    if (stride > 3) v |= (uint32_t)p[3] << 24;
+    return v;
+}
+static inline void svoi_store_value(uint8_t *p, uint32_t stride, uint32_t v)
+{
+    for (uint32_t i = 0; i < stride; i++) p[i] = (uint8_t)(v >> 8 * i);
+}
+
+/* --- distinct values --------------------------------------------------------------------------------------------- */
+
+typedef struct svoi_distinct {
+    const svo_allocator *a;
+    uint32_t *value;
+    uint64_t *times;
+    uint64_t count, capacity;
+    uint64_t *slots; /* high half: value, low half: index + 1 */
+    uint64_t slot_count;
+} svoi_distinct;
+bool svoi_distinct_add(svoi_distinct *d, uint32_t value, uint64_t times);
+/* Sort by value and renumber. */
+bool svoi_distinct_sort(svoi_distinct *d);
+/* Index of a value that is in it. */
+uint32_t svoi_distinct_index(const svoi_distinct *d, uint32_t value);
+void svoi_distinct_free(svoi_distinct *d);
+
+/* --- the result -------------------------------------------------------------------------------------------------- */
+
+struct svo_packed {
+    svo_limit_allocator memory; /* everything below is charged to it; the struct itself comes from its parent */
+    svo_view view;
+    svo_buffer words[SVO_MAX_DEPTH], bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
+        payload[SVO_MAX_CHANNELS];
+};
+
+/* Layout 1 from the tables of levels 0 .. brick_level - 1, which are freed on the way. */
+svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, svo_error *err);
+
+/* Quantise and encode one channel into the packed view; frees the values. */
+svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,
+                             svo_dag_channel_report *report, svo_error *err);
+
+/* SVO_LIMIT when a limit was asked for, else SVO_OUT_OF_MEMORY, with a message. */
+svo_result svoi_no_memory(const svo_packed *p, const char *what, svo_error *err);
+
+#endif
