@@ -223,6 +223,29 @@ const fmt_chunk *fmt_container_find(const fmt_container *c, uint32_t type, bool 
     return NULL;
 }
 
+static void add_section(fmt_section *out, uint32_t capacity, uint32_t *count, uint32_t type, uint64_t stored, uint64_t decoded)
+{
+    uint32_t i = 0;
+    while (i < *count && out[i].type != type) i++;
+    if (i == capacity) out[--i].type = 0;
+    else if (i == *count) out[(*count)++] = (fmt_section){.type = type};
+    out[i].chunks++;
+    out[i].bytes += FMTI_BLOCK + stored + fmti_padding(stored);
+    out[i].payload += stored;
+    out[i].decoded += decoded;
+}
+
+uint32_t fmt_container_sections(const fmt_container *c, fmt_section *out, uint32_t capacity)
+{
+    SVO_ASSERT(capacity != 0);
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < c->chunk_count; i++)
+        add_section(out, capacity, &count, c->chunks[i].type, c->chunks[i].stored_size, c->chunks[i].decoded_size);
+    uint64_t table = FMTI_BLOCK * (uint64_t)c->chunk_count;
+    add_section(out, capacity, &count, FMT_TYPE_TABLE, table, table);
+    return count;
+}
+
 svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err)
 {
     uint64_t at = chunk->offset - FMTI_BLOCK;

@@ -89,6 +89,14 @@ const fmt_chunk *fmt_container_find(const fmt_container *c, uint32_t type, bool 
 /* Checks the hash of a stored chunk (codec NONE) and returns its bytes in place; SVO_INVALID_DATA on a mismatch. */
 svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err);
 
+/* Bytes by type of chunk, in order of first appearance, the table included; types beyond `capacity` are summed in the
+ * last one, with type 0. The `bytes` sum to the file's size less 128 (header and footer). Returns how many. */
+typedef struct fmt_section {
+    uint32_t type;
+    uint64_t chunks, bytes /* with headers and padding */, payload, decoded;
+} fmt_section;
+uint32_t fmt_container_sections(const fmt_container *c, fmt_section *out, uint32_t capacity);
+
 /* The text of the META chunk, NUL-terminated ("" when there is none), checked (CON-12). Freed with fmt_meta_free. */
 svo_result fmt_container_meta(const fmt_container *c, const svo_allocator *a, char **text, svo_error *err);
 void fmt_meta_free(const svo_allocator *a, char *text);

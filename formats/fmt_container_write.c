@@ -2,9 +2,7 @@
  * file, so that a file of any number of chunks is written in bounded memory. */
 #define _GNU_SOURCE
 #include <errno.h>
-#include <fcntl.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
@@ -49,16 +47,12 @@ svo_result fmt_writer_begin(fmt_output *out, fmt_kind kind, uint16_t major, uint
 static svo_result spill_table(fmt_writer *w, svo_error *err)
 {
     if (w->spill == NULL) {
-        const char *folder = getenv("TMPDIR");
         int fd = -1;
-#ifdef O_TMPFILE
-        fd = open(folder != NULL && folder[0] != 0 ? folder : "/tmp", O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-#endif
-        w->spill = fd >= 0 ? fdopen(fd, "w+b") : tmpfile();
+        SVO_TRY(fmt_scratch_file(&fd, err));
+        w->spill = fdopen(fd, "w+b");
         if (w->spill == NULL) {
-            int code = errno;
-            if (fd >= 0) close(fd);
-            return svo_fail(err, SVO_IO, "cannot create a temporary file (TMPDIR): %s", strerror(code));
+            close(fd);
+            return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a temporary file");
         }
     }
     if (fwrite(w->table.data, 1, w->table.size, w->spill) != w->table.size)

@@ -43,7 +43,12 @@ typedef struct fmt_bytes {
     const svo_allocator *allocator;
 } fmt_bytes;
 svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_allocator *a, fmt_bytes *out, svo_error *err);
+/* The same, but what cannot be mapped (a pipe) goes through an unnamed temporary file in TMPDIR and is mapped from there,
+ * so that it takes no memory. */
+svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *err);
 void fmt_bytes_close(fmt_bytes *b);
+/* An unnamed file for scratch data, in TMPDIR or /tmp; read and write. Closed by the caller with close(). */
+svo_result fmt_scratch_file(int *fd, svo_error *err);
 
 /* A sequential input for streams that may be larger than memory. */
 typedef struct fmt_input fmt_input;

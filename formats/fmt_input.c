@@ -2,6 +2,8 @@
 #define _GNU_SOURCE
 #include <errno.h>
 #include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
@@ -90,6 +92,63 @@ svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_alloca
         }
     }
     if (!b.mapped) r = read_whole(fd, shown(path), max_bytes, &b, err);
+    if (fd != STDIN_FILENO) close(fd);
+    if (r == SVO_OK) *out = b;
+    return r;
+}
+
+svo_result fmt_scratch_file(int *fd, svo_error *err)
+{
+    const char *folder = getenv("TMPDIR");
+    if (folder == NULL || folder[0] == 0) folder = "/tmp";
+#ifdef O_TMPFILE
+    *fd = open(folder, O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
+    if (*fd >= 0) return SVO_OK;
+#endif
+    char name[4096];
+    if (snprintf(name, sizeof name, "%s/svokit-XXXXXX", folder) >= (int)sizeof name) return svo_fail(err, SVO_IO, "TMPDIR is too long");
+    *fd = mkostemp(name, O_CLOEXEC);
+    if (*fd < 0) return svo_fail(err, SVO_IO, "cannot create a temporary file in %s (TMPDIR): %s", folder, strerror(errno));
+    unlink(name);
+    return SVO_OK;
+}
+
+/* Copy what is left of `from` to `to`. */
+static svo_result spool(int from, const char *name, int to, uint8_t *piece, uint64_t *size, svo_error *err)
+{
+    for (;;) {
+        size_t got = 0;
+        SVO_TRY(read_some(from, name, piece, READ_SIZE, &got, err));
+        if (got == 0) return SVO_OK;
+        *size += got;
+        for (size_t done = 0; done < got;) {
+            ssize_t n = write(to, piece + done, got - done);
+            if (n < 0 && errno != EINTR) return svo_fail(err, SVO_IO, "cannot write a temporary file (TMPDIR): %s", strerror(errno));
+            if (n > 0) done += (size_t)n;
+        }
+    }
+}
+
+svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *err)
+{
+    int fd = -1, scratch = -1;
+    struct stat s;
+    SVO_TRY(open_for_reading(path, &fd, &s, err));
+    if (S_ISREG(s.st_mode) && (fd != STDIN_FILENO || lseek(fd, 0, SEEK_CUR) == 0)) {
+        if (fd != STDIN_FILENO) close(fd);
+        return fmt_bytes_open(path, 0, NULL, out, err);
+    }
+    fmt_bytes b = {0};
+    uint8_t *piece = svo_alloc(NULL, READ_SIZE, 1);
+    svo_result r = piece != NULL ? fmt_scratch_file(&scratch, err) : svo_fail(err, SVO_OUT_OF_MEMORY, "%s: no memory for the input buffer", shown(path));
+    if (r == SVO_OK) r = spool(fd, shown(path), scratch, piece, &b.size, err);
+    if (r == SVO_OK && b.size != 0) {
+        void *p = b.size <= SIZE_MAX ? mmap(NULL, (size_t)b.size, PROT_READ, MAP_PRIVATE, scratch, 0) : MAP_FAILED;
+        if (p == MAP_FAILED) r = svo_fail(err, SVO_IO, "%s: cannot map its copy: %s", shown(path), strerror(errno));
+        else b.data = p, b.mapped = true;
+    }
+    svo_free(NULL, piece, READ_SIZE, 1);
+    if (scratch >= 0) close(scratch);
     if (fd != STDIN_FILENO) close(fd);
     if (r == SVO_OK) *out = b;
     return r;

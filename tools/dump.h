@@ -1,0 +1,55 @@
+/* Parts of svo-dump: a file is read into a JSON object, which is printed as it is or as text. */
+#ifndef DUMP_H
+#define DUMP_H
+
+#include "cli.h"
+#include "fmt_container.h"
+#include "svo_stream.h"
+
+/* What is to be done with one file. */
+typedef struct dump_job {
+    cli *c;
+    const char *path;   /* as given, "-" is stdin */
+    const uint8_t *data; /* 64-byte aligned */
+    uint64_t size;
+    const svo_allocator *allocator;
+    bool quick;         /* hashes only; nothing that needs decoding */
+    const char *voxels; /* PLY to write, or NULL */
+    uint64_t limit;     /* voxels that --voxels may write */
+    json_t *json;       /* filled by the functions below */
+} dump_job;
+
+svo_result dump_svo(dump_job *j, svo_error *err);
+
+/* --- shared by the kinds (dump_common.c) --- */
+
+/* format, version, bytes, content hash, sections. */
+void dump_container(dump_job *j, const fmt_container *c);
+/* depth, voxel_to_world, voxel_size, grid bounds, surface, fill. */
+void dump_grid(json_t *o, uint32_t depth, const double voxel_to_world[16], svo_surface surface, svo_fill fill);
+/* levels, nodes, voxels and what they cost of `bytes`. */
+void dump_counts(json_t *o, uint32_t depth, const uint64_t *nodes, uint64_t bytes);
+/* Bounds of voxels low..high (inclusive) in the grid and the world; any false: null. */
+void dump_bounds(json_t *o, bool any, const uint32_t low[3], const uint32_t high[3], const double voxel_to_world[16]);
+/* Name, kind, constant (and its value) of a channel. New reference. */
+json_t *dump_channel(const svo_channel *c);
+/* A value as people read it: [r,g,b], [x,y,z] or a number. New reference. */
+json_t *dump_value(svo_channel_kind kind, const uint8_t *value);
+void dump_provenance(json_t *o, const char *text);
+json_t *dump_reals(const double *v, size_t n);
+
+/* --- text (dump_text.c): prints j->json to stdout --- */
+void dump_print(const dump_job *j);
+
+/* --- point clouds (dump_ply.c) --- */
+typedef struct dump_ply dump_ply;
+/* A binary PLY of exactly `count` voxels: vx vy vz, world centre x y z, the channels, and `instance` if asked for. */
+svo_result dump_ply_begin(const dump_job *j, uint64_t count, const svo_channel *channels, uint32_t channel_count, bool instances,
+                          dump_ply **out, svo_error *err);
+/* values[i]: the voxel's value of channel i (ignored for constant channels). */
+svo_result dump_ply_voxel(dump_ply *p, const double voxel_to_world[16], uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values,
+                          uint64_t instance, svo_error *err);
+svo_result dump_ply_end(dump_ply *p, svo_error *err);
+void dump_ply_discard(dump_ply *p);
+
+#endif

@@ -1,0 +1,137 @@
+/* The JSON of a file as text for people. */
+#include "dump.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static void print_value(const json_t *v)
+{
+    size_t i;
+    const json_t *e;
+    const char *key;
+    switch (json_typeof(v)) {
+    case JSON_INTEGER: printf("%" JSON_INTEGER_FORMAT, json_integer_value(v)); break;
+    case JSON_REAL: printf("%.9g", json_real_value(v)); break;
+    case JSON_STRING: fputs(json_string_value(v), stdout); break;
+    case JSON_TRUE: fputs("yes", stdout); break;
+    case JSON_FALSE: fputs("no", stdout); break;
+    case JSON_NULL: fputs("none", stdout); break;
+    case JSON_ARRAY:
+        json_array_foreach(v, i, e) {
+            if (i != 0) putchar(' ');
+            print_value(e);
+        }
+        break;
+    case JSON_OBJECT: {
+        bool first = true;
+        void *at = json_object_iter((json_t *)(uintptr_t)v);
+        for (; at != NULL; at = json_object_iter_next((json_t *)(uintptr_t)v, at)) {
+            key = json_object_iter_key(at);
+            printf("%s%s ", first ? "" : ", ", key);
+            print_value(json_object_iter_value(at));
+            first = false;
+        }
+    }
+    }
+}
+
+static void print_label(const char *key)
+{
+    char label[40];
+    size_t n = 0;
+    for (; key[n] != 0 && n < sizeof label - 1; n++) label[n] = key[n] == '_' ? ' ' : key[n];
+    label[n] = 0;
+    printf("  %-18s ", label);
+}
+
+static uint64_t count_of(const json_t *o, const char *key)
+{
+    const json_t *v = json_object_get(o, key);
+    return json_is_integer(v) ? (uint64_t)json_integer_value(v) : json_is_real(v) ? (uint64_t)json_real_value(v) : 0;
+}
+
+static void print_sections(const json_t *list, double total)
+{
+    size_t i;
+    const json_t *s;
+    print_label("sections");
+    printf("%-18s %8s %14s %14s %6s\n", "type", "chunks", "bytes", "decoded", "share");
+    json_array_foreach(list, i, s) {
+        uint64_t bytes = count_of(s, "bytes"), decoded = count_of(s, "decoded_bytes"), chunks = count_of(s, "chunks");
+        printf("%21s%-18s ", "", json_string_value(json_object_get(s, "type")));
+        if (chunks != 0) printf("%8" PRIu64, chunks);
+        else printf("%8s", "");
+        printf(" %14" PRIu64, bytes);
+        if (chunks != 0) printf(" %14" PRIu64, decoded);
+        else printf(" %14s", "");
+        printf(" %5.1f%%\n", total > 0 ? 100 * (double)bytes / total : 0.0);
+    }
+}
+
+/* A list of objects, one a line. */
+static void print_list(const char *key, const json_t *list)
+{
+    size_t i;
+    const json_t *e;
+    print_label(key);
+    if (json_array_size(list) == 0) fputs("none\n", stdout);
+    json_array_foreach(list, i, e) {
+        if (i != 0) printf("%21s", "");
+        print_value(e);
+        putchar('\n');
+    }
+}
+
+static void print_levels(const json_t *list)
+{
+    size_t i;
+    const json_t *e;
+    print_label("levels");
+    json_array_foreach(list, i, e) {
+        if (i != 0) printf("%21s", "");
+        const json_t *stored = json_object_get(e, "stored");
+        printf("%2" PRIu64 " %14" PRIu64 " nodes", count_of(e, "level"), count_of(e, "nodes"));
+        if (stored != NULL) printf(" %14" PRIu64 " stored", count_of(e, "stored"));
+        putchar('\n');
+    }
+}
+
+static void print_matrix(const json_t *m)
+{
+    print_label("voxel_to_world");
+    for (size_t i = 0; i < 12; i++) {
+        if (i != 0 && i % 4 == 0) printf("\n%21s", "");
+        printf("%-17.12g%s", json_real_value(json_array_get(m, i)), i % 4 == 3 ? "" : " ");
+    }
+    putchar('\n');
+}
+
+void dump_print(const dump_job *j)
+{
+    const char *key;
+    json_t *v;
+    printf("%s\n", json_string_value(json_object_get(j->json, "file")));
+    json_object_foreach(j->json, key, v) {
+        if (strcmp(key, "file") == 0) continue;
+        if (strcmp(key, "sections") == 0) {
+            print_sections(v, (double)j->size);
+        } else if (strcmp(key, "levels") == 0) {
+            print_levels(v);
+        } else if (strcmp(key, "voxel_to_world") == 0) {
+            print_matrix(v);
+        } else if (json_is_array(v) && (json_array_size(v) == 0 || json_is_object(json_array_get(v, 0)))) {
+            print_list(key, v);
+        } else if (strcmp(key, "provenance") == 0 && json_is_object(v)) {
+            char *text = json_dumps(v, JSON_COMPACT | JSON_SORT_KEYS);
+            print_label(key);
+            puts(text != NULL ? text : "");
+            free(text);
+        } else {
+            print_label(key);
+            print_value(v);
+            putchar('\n');
+        }
+    }
+}

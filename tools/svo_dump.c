@@ -1,0 +1,140 @@
+/* svo-dump: what is in a file, is it valid, and its voxels as a point cloud. */
+#include <stdio.h>
+#include <string.h>
+
+#include "dump.h"
+
+static svo_result dump_bytes(dump_job *j, svo_error *err)
+{
+    uint32_t kind = j->size >= 64 ? fmt_load32(j->data + 16) : 0;
+    if (kind == FMT_KIND_SVO) return dump_svo(j, err);
+    fmt_container c; /* says what is wrong with the header */
+    SVO_TRY(fmt_container_open(j->data, j->size, j->allocator, &c, err));
+    fmt_container_close(&c);
+    return svo_fail(err, SVO_UNSUPPORTED, "files of this kind cannot be read by this version");
+}
+
+static svo_result dump_file(dump_job *j, svo_error *err)
+{
+    fmt_bytes b;
+    svo_result r = fmt_bytes_open_spooled(j->path, &b, err);
+    if (r != SVO_OK) return r;
+    j->data = b.data;
+    j->size = b.size;
+    r = dump_bytes(j, err);
+    fmt_bytes_close(&b);
+    if (r == SVO_OK) return r;
+    /* The message of a file that cannot be opened names it already. */
+    svo_error inner = err != NULL ? *err : (svo_error){0};
+    svo_fail(err, r, "%.100s: %s", strcmp(j->path, "-") == 0 ? "stdin" : j->path, inner.message);
+    if (err != NULL) {
+        err->chunk = inner.chunk;
+        err->offset = inner.offset;
+        err->index = inner.index;
+    }
+    return r;
+}
+
+/* "SVO-05" of "... (SVO-05)"; empty when the message ends otherwise. */
+static void rule_of(const char *message, char out[16])
+{
+    size_t n = strlen(message);
+    const char *open = strrchr(message, '(');
+    out[0] = 0;
+    if (open == NULL || n == 0 || message[n - 1] != ')' || (size_t)(message + n - 1 - (open + 1)) >= 16) return;
+    if (strchr(open, '-') == NULL || strchr(open, ' ') != NULL) return;
+    size_t length = (size_t)(message + n - 1 - (open + 1));
+    memcpy(out, open + 1, length);
+    out[length] = 0;
+}
+
+/* The verdict of --validate as JSON. */
+static json_t *verdict(const dump_job *j, svo_result r, const svo_error *err)
+{
+    json_t *o = json_object(), *messages = json_array();
+    cli_put_text(o, "file", strcmp(j->path, "-") == 0 ? "stdin" : j->path);
+    json_object_set_new(o, "valid", json_boolean(r == SVO_OK));
+    if (r != SVO_OK) {
+        char rule[16], chunk[5];
+        json_t *m = json_object();
+        rule_of(err->message, rule);
+        cli_put_text(m, "id", rule[0] != 0 ? rule : svo_result_name(r));
+        cli_put_text(m, "type", "error");
+        cli_put_text(m, "message", err->message);
+        fmt_fourcc_text(err->chunk, chunk);
+        if (err->chunk != 0) cli_put_text(m, "chunk", chunk);
+        cli_put_u64(m, "offset", err->offset);
+        json_array_append_new(messages, m);
+    }
+    json_object_set_new(o, "messages", messages);
+    return o;
+}
+
+typedef struct dump_options { bool json, validate, quick; const char *voxels; uint64_t limit; } dump_options;
+
+/* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
+static svo_result run(cli *c, const dump_options *o, svo_error *err)
+{
+    svo_limit_allocator limit;
+    svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
+    json_t *all = json_array();
+    svo_result first = SVO_OK;
+    bool text = !o->json && (o->voxels == NULL || strcmp(o->voxels, "-") != 0);
+    for (int i = 0; i < c->input_count; i++) {
+        svo_error e = {0};
+        dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
+                      .voxels = o->voxels, .limit = o->limit, .json = json_object()};
+        svo_result r = dump_file(&j, &e);
+        if (r != SVO_OK) {
+            if (first == SVO_OK) first = r, *err = e;
+            else fprintf(stderr, "%s: error: %s\n", c->tool->name, e.message);
+        }
+        if (o->validate && o->json) json_array_append_new(all, verdict(&j, r, &e));
+        else if (r == SVO_OK && o->json) json_array_append(all, j.json);
+        else if (r == SVO_OK && o->validate) printf("%s: valid\n", strcmp(j.path, "-") == 0 ? "stdin" : j.path);
+        else if (r == SVO_OK && text) dump_print(&j);
+        if (r == SVO_OK) json_object_set(cli_section(c, "input"), strcmp(j.path, "-") == 0 ? "stdin" : j.path, j.json);
+        json_decref(j.json);
+    }
+    if (o->json && (first == SVO_OK || o->validate)) {
+        json_t *what = c->input_count == 1 ? json_array_get(all, 0) : all;
+        json_dumpf(what, stdout, JSON_INDENT(1) | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(17));
+        putchar('\n');
+    }
+    json_decref(all);
+    return first;
+}
+
+int main(int argc, char **argv)
+{
+    dump_options o = {.limit = (uint64_t)1 << 31};
+    cli_option options[] = {
+        {.name = "json", .kind = CLI_FLAG, .value = &o.json, .help = "Print JSON: an object, or an array for several files."},
+        {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary."},
+        {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
+         .help = "Write every finest voxel to a binary PLY point cloud; - is stdout, then nothing else is printed."},
+        {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels writes."},
+        {.name = "quick", .kind = CLI_FLAG, .value = &o.quick, .help = "Check hashes only; leave out what needs decoding, such as bounds."},
+    };
+    cli_tool tool = {
+        .name = "svo-dump",
+        .summary = "Show what is in a file of this toolchain, check it, and write its voxels as points.",
+        .synopsis = "FILE... [--json] [--validate] [--voxels OUT.ply]",
+        .options = options,
+        .option_count = sizeof options / sizeof options[0],
+        .details = "FILE is a .svo, .svdag, .svscene or .skel, told apart by content; - is stdin.\n"
+                   "A damaged file ends with exit code 3 and a message that names the chunk, the byte and the rule that is broken.",
+        .example = "svo-dump bunny.svo\nsvo-dump --json bunny.svdag\nsvo-dump bunny.svdag --voxels bunny.ply",
+        .min_inputs = 1,
+        .max_inputs = -1,
+    };
+    cli c;
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    if (o.voxels != NULL && c.input_count != 1) return cli_usage(&c, "--voxels takes one FILE");
+    if (o.voxels != NULL && o.validate) return cli_usage(&c, "--voxels and --validate exclude each other (--voxels validates as well)");
+    if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
+    svo_error err = {0};
+    svo_result r = run(&c, &o, &err);
+    return cli_end(&c, r, &err);
+}
