@@ -23,8 +23,10 @@ svo_result dump_svo(dump_job *j, svo_error *err);
 
 /* --- shared by the kinds (dump_common.c) --- */
 
-/* format, version, bytes, content hash, sections. */
+/* file, format, version, bytes, content hash. */
 void dump_container(dump_job *j, const fmt_container *c);
+/* Bytes by type of chunk; they sum to those of the file. */
+void dump_sections(dump_job *j, const fmt_container *c);
 /* depth, voxel_to_world, voxel_size, grid bounds, surface, fill. */
 void dump_grid(json_t *o, uint32_t depth, const double voxel_to_world[16], svo_surface surface, svo_fill fill);
 /* levels, nodes, voxels and what they cost of `bytes`. */

@@ -34,8 +34,6 @@ static const char *kind_text(fmt_kind kind)
 
 void dump_container(dump_job *j, const fmt_container *c)
 {
-    enum { TYPES = 32 };
-    fmt_section sections[TYPES];
     char hex[33];
     cli_put_text(j->json, "file", strcmp(j->path, "-") == 0 ? "stdin" : j->path);
     cli_put_text(j->json, "format", kind_text(c->kind));
@@ -47,6 +45,12 @@ void dump_container(dump_job *j, const fmt_container *c)
     }
     hex[32] = 0;
     cli_put_text(j->json, "content_hash", hex);
+}
+
+void dump_sections(dump_job *j, const fmt_container *c)
+{
+    enum { TYPES = 32 };
+    fmt_section sections[TYPES];
     json_t *list = json_array();
     uint32_t n = fmt_container_sections(c, sections, TYPES);
     for (uint32_t i = 0; i < n; i++) {

@@ -209,6 +209,7 @@ svo_result dump_svo(dump_job *j, svo_error *err)
         if (!j->quick) dump_bounds(j->json, w.any, w.low, w.high, w.info->voxel_to_world);
         dump_counts(j->json, w.info->depth, fmt_svo_reader_counts(r)->nodes, j->size);
         put_attributes(&w, j->json);
+        dump_sections(j, &c);
         dump_provenance(j->json, fmt_svo_reader_provenance(r));
     }
     for (uint32_t i = 0; i < SVO_MAX_CHANNELS; i++) svo_free(j->allocator, w.seen[i].bits, w.seen[i].values, sizeof *w.seen[i].bits);

@@ -23,8 +23,7 @@ static svo_result dump_file(dump_job *j, svo_error *err)
     j->size = b.size;
     r = dump_bytes(j, err);
     fmt_bytes_close(&b);
-    if (r == SVO_OK) return r;
-    /* The message of a file that cannot be opened names it already. */
+    if (r == SVO_OK || r == SVO_IO || r == SVO_LIMIT) return r; /* the last two are about the output, which the message names */
     svo_error inner = err != NULL ? *err : (svo_error){0};
     svo_fail(err, r, "%.100s: %s", strcmp(j->path, "-") == 0 ? "stdin" : j->path, inner.message);
     if (err != NULL) {
