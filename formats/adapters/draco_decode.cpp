@@ -1,0 +1,159 @@
+/* Draco bytes to plain arrays, for glTF's KHR_draco_mesh_compression and for .drc files. */
+#include "gltf_document.hpp"
+
+#if defined(__GNUC__)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
+#endif
+#include <draco/compression/decode.h>
+#if defined(__GNUC__)
+#pragma GCC diagnostic pop
+#endif
+
+#include <cstring>
+
+namespace
+{
+
+/* Attribute values, one per point. Integers come raw, so that the caller decides about normalisation. */
+void read_attribute(const char *path, const draco::Mesh &mesh, const draco::PointAttribute &a, draco_attribute *out)
+{
+    int n = a.num_components();
+    if (n < 1 || n > 4) svo_throw(SVO_INVALID_DATA, "%s: a Draco attribute has %d components", path, n);
+    out->components = n;
+    out->integral = a.data_type() != draco::DT_FLOAT32 && a.data_type() != draco::DT_FLOAT64;
+    out->values.resize(static_cast<size_t>(mesh.num_points()) * static_cast<size_t>(n));
+    for (uint32_t i = 0; i < mesh.num_points(); i++) {
+        draco::AttributeValueIndex v = a.mapped_index(draco::PointIndex(i));
+        if (v.value() >= a.size()) svo_throw(SVO_INVALID_DATA, "%s: a Draco attribute is inconsistent", path);
+        float *to = &out->values[static_cast<size_t>(i) * static_cast<size_t>(n)];
+        bool ok;
+        if (out->integral) {
+            int64_t raw[4];
+            ok = a.ConvertValue<int64_t>(v, static_cast<int8_t>(n), raw);
+            for (int k = 0; ok && k < n; k++) to[k] = static_cast<float>(raw[k]);
+        } else {
+            ok = a.ConvertValue<float>(v, static_cast<int8_t>(n), to);
+        }
+        if (!ok) svo_throw(SVO_INVALID_DATA, "%s: a Draco attribute cannot be converted", path);
+    }
+}
+
+std::unique_ptr<draco::Mesh> decode(const char *path, const uint8_t *bytes, uint64_t size)
+{
+    /* Draco's own counts are checked by it against the stream, but one input byte can still stand for many faces;
+     * a mesh of more than 2^32 corners could not be indexed anyway. */
+    draco::DecoderBuffer buffer;
+    buffer.Init(reinterpret_cast<const char *>(bytes), static_cast<size_t>(size));
+    draco::Decoder decoder;
+    draco::StatusOr<std::unique_ptr<draco::Mesh>> result = decoder.DecodeMeshFromBuffer(&buffer);
+    if (!result.ok()) svo_throw(SVO_INVALID_DATA, "%s: Draco data is broken: %.120s", path, result.status().error_msg());
+    std::unique_ptr<draco::Mesh> mesh = std::move(result).value();
+    if (mesh == nullptr) svo_throw(SVO_INVALID_DATA, "%s: Draco data is broken", path);
+    return mesh;
+}
+
+void read_faces(const char *path, const draco::Mesh &mesh, std::vector<uint32_t> *indices)
+{
+    indices->resize(3 * static_cast<size_t>(mesh.num_faces()));
+    for (uint32_t f = 0; f < mesh.num_faces(); f++) {
+        const draco::Mesh::Face &face = mesh.face(draco::FaceIndex(f));
+        for (size_t k = 0; k < 3; k++) {
+            uint32_t i = face[k].value();
+            if (i >= mesh.num_points()) svo_throw(SVO_INVALID_DATA, "%s: a Draco face refers to a point that does not exist", path);
+            (*indices)[3 * static_cast<size_t>(f) + k] = i;
+        }
+    }
+}
+
+/* The one part of a .drc. */
+void fill_drc(const import_context *c, const draco::Mesh &mesh, svo_part *part)
+{
+    gltf_document d; /* for its array helpers only */
+    d.context = c;
+    std::vector<uint32_t> indices;
+    read_faces(c->path, mesh, &indices);
+    uint64_t n = mesh.num_points();
+    part->material = SVO_NONE;
+    part->vertex_count = n;
+    part->triangle_count = indices.size() / 3;
+    const draco::PointAttribute *position = mesh.GetNamedAttribute(draco::GeometryAttribute::POSITION);
+    if (position == nullptr || position->num_components() != 3) svo_throw(SVO_INVALID_DATA, "%s: Draco data has no 3-D positions", c->path);
+    draco_attribute a{};
+    read_attribute(c->path, mesh, *position, &a);
+    part->positions = gltf_array<double>(d, n, 3);
+    for (uint64_t i = 0; i < 3 * n; i++) part->positions[i] = static_cast<double>(a.values[i]);
+    part->indices = gltf_array<uint32_t>(d, part->triangle_count, 3);
+    if (!indices.empty()) std::memcpy(part->indices, indices.data(), indices.size() * sizeof(uint32_t));
+    const draco::PointAttribute *normal = mesh.GetNamedAttribute(draco::GeometryAttribute::NORMAL);
+    if (normal != nullptr && normal->num_components() == 3) {
+        read_attribute(c->path, mesh, *normal, &a);
+        part->normals = gltf_array<float>(d, n, 3);
+        std::memcpy(part->normals, a.values.data(), 3 * n * sizeof(float));
+    }
+    const draco::PointAttribute *uv = mesh.GetNamedAttribute(draco::GeometryAttribute::TEX_COORD);
+    if (uv != nullptr && uv->num_components() == 2) {
+        read_attribute(c->path, mesh, *uv, &a);
+        part->uvs[0] = gltf_array<float>(d, n, 2);
+        for (uint64_t i = 0; i < n; i++) {
+            part->uvs[0][2 * i] = a.values[2 * i];
+            part->uvs[0][2 * i + 1] = 1 - a.values[2 * i + 1]; /* encoders keep OBJ's and PLY's bottom-left origin */
+        }
+    }
+    const draco::PointAttribute *color = mesh.GetNamedAttribute(draco::GeometryAttribute::COLOR);
+    if (color != nullptr && color->num_components() >= 3) {
+        read_attribute(c->path, mesh, *color, &a);
+        double scale = !a.integral ? 1 : color->data_type() == draco::DT_UINT16 ? 65535 : 255;
+        part->colors = gltf_array<float>(d, n, 4);
+        for (uint64_t i = 0; i < n; i++) {
+            const float *from = &a.values[i * static_cast<uint64_t>(a.components)];
+            for (uint64_t k = 0; k < 3; k++) part->colors[4 * i + k] = import_srgb_to_linear(static_cast<double>(from[k]) / scale);
+            double alpha = a.components > 3 ? static_cast<double>(from[3]) / scale : 1;
+            part->colors[4 * i + 3] = alpha >= 0 && alpha <= 1 ? static_cast<float>(alpha) : 1;
+        }
+    }
+}
+
+svo_result read_drc(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *out, svo_error *err)
+{
+    draco::DecoderBuffer probe;
+    probe.Init(reinterpret_cast<const char *>(bytes), static_cast<size_t>(size));
+    draco::StatusOr<draco::EncodedGeometryType> type = draco::Decoder::GetEncodedGeometryType(&probe);
+    if (!type.ok()) svo_throw(SVO_INVALID_DATA, "%s: not Draco data: %.120s", c->path, type.status().error_msg());
+    if (type.value() == draco::POINT_CLOUD) {
+        svo_warn(c->warnings, "%s: a Draco point cloud has no faces", c->path);
+        return import_single_shape(c, nullptr, 0, out, err);
+    }
+    std::unique_ptr<draco::Mesh> mesh = decode(c->path, bytes, size);
+    if (mesh->num_faces() == 0) return import_single_shape(c, nullptr, 0, out, err);
+    svo_part *part = static_cast<svo_part *>(svo_calloc(c->allocator, 1, sizeof *part));
+    if (part == nullptr) throw std::bad_alloc();
+    try {
+        fill_drc(c, *mesh, part);
+    } catch (...) {
+        import_part_free(c->allocator, part);
+        svo_free(c->allocator, part, 1, sizeof *part);
+        throw;
+    }
+    return import_single_shape(c, part, 1, out, err);
+}
+
+} // namespace
+
+void draco_decode_mesh(const char *path, const uint8_t *bytes, uint64_t size, std::vector<uint32_t> *indices, uint64_t *points,
+                       std::vector<draco_attribute> *attributes)
+{
+    std::unique_ptr<draco::Mesh> mesh = decode(path, bytes, size);
+    read_faces(path, *mesh, indices);
+    *points = mesh->num_points();
+    for (draco_attribute &a : *attributes) {
+        const draco::PointAttribute *from = mesh->GetAttributeByUniqueId(a.id);
+        if (from == nullptr) svo_throw(SVO_INVALID_DATA, "%s: Draco data lacks attribute %u", path, a.id);
+        read_attribute(path, *mesh, *from, &a);
+    }
+}
+
+extern "C" svo_result import_drc(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    return svo_guard(err, [&] { return read_drc(c, bytes, size, mesh, err); });
+}

@@ -1,0 +1,131 @@
+/* One glTF asset while it is imported: what the adapters gltf_*.cpp share. Bytes are checked in this order: the GLB frame
+ * and the JSON's depth (gltf_load), the JSON's types and references (gltf_check), then tinygltf fills its model from
+ * JSON that is known to be sane and has no buffers and images left (those are ours: no file is opened by tinygltf, no
+ * byte copied), then every accessor against its buffer (gltf_accessor). */
+#ifndef GLTF_DOCUMENT_HPP
+#define GLTF_DOCUMENT_HPP
+
+#include "cxx_guard.hpp"
+#include "import_common.h"
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#define TINYGLTF_NO_STB_IMAGE
+#define TINYGLTF_NO_STB_IMAGE_WRITE
+#define TINYGLTF_NO_EXTERNAL_IMAGE
+#define TINYGLTF_NO_FS
+#if defined(__GNUC__)
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wshadow"
+#endif
+#include <tiny_gltf.h>
+#if defined(__GNUC__)
+#pragma GCC diagnostic pop
+#endif
+
+/* Bytes of a buffer: mapped, decoded from a data URI, or part of the GLB. */
+struct gltf_bytes {
+    const uint8_t *data = nullptr;
+    uint64_t size = 0;
+    std::vector<uint8_t> owned;
+    fmt_bytes mapped{};
+    gltf_bytes() = default;
+    gltf_bytes(const gltf_bytes &) = delete;
+    gltf_bytes &operator=(const gltf_bytes &) = delete;
+    ~gltf_bytes() { if (mapped.data != nullptr) fmt_bytes_close(&mapped); }
+};
+
+struct gltf_image {
+    std::string name, uri, mime;
+    int buffer_view = -1;
+};
+
+struct gltf_document {
+    const import_context *context = nullptr;
+    tinygltf::Model model;
+    std::vector<std::unique_ptr<gltf_bytes>> buffers;
+    std::vector<gltf_image> images;
+    std::vector<std::vector<int>> indices; /* accessor of each primitive of each mesh, -1: none */
+    std::vector<int> parent; /* of each node, -1 for roots */
+    int scene = -1;          /* default scene of the file, -1: none stated */
+    uint64_t total_bytes = 0;
+    uint64_t elements = 0; /* vertices and indices made so far, see gltf_charge */
+
+    const char *path() const { return context->path; }
+    svo_warnings *warnings() const { return context->warnings; }
+};
+
+/* gltf_load.cpp */
+void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size);
+/* A reference of the asset (percent-encoded relative path, or data URI) as bytes. */
+std::unique_ptr<gltf_bytes> gltf_fetch(const gltf_document &d, const std::string &uri);
+bool gltf_is_data_uri(const std::string &uri);
+
+/* gltf_accessor.cpp: a checked window on an accessor. Every element below count can be read. */
+class gltf_accessor
+{
+  public:
+    /* what: for messages ("mesh 3, POSITION"). components: how many the use needs; max for types that may have more. */
+    gltf_accessor(const gltf_document &d, int index, const char *what, int min_components, int max_components);
+    uint64_t count() const { return count_; }
+    int components() const { return components_; }
+    int component_type() const { return type_; }
+    bool normalized() const { return normalized_; }
+    /* components() values of element i, ints normalised where the accessor says so. */
+    void get(uint64_t i, double *out) const;
+    uint32_t get_index(uint64_t i) const; /* component 0 of an unsigned type */
+
+  private:
+    double component(const uint8_t *p) const;
+    const uint8_t *at(uint64_t i) const;
+    const uint8_t *data_ = nullptr; /* NULL: zeros */
+    uint64_t count_ = 0, stride_ = 0;
+    int components_ = 0, type_ = 0, width_ = 0;
+    bool normalized_ = false;
+    std::vector<uint64_t> sparse_index_; /* ascending */
+    const uint8_t *sparse_data_ = nullptr;
+    uint64_t sparse_stride_ = 0;
+};
+/* Bytes of a buffer view, checked. */
+const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size);
+/* value of a normalised or plain integer component, as the accessor says */
+double gltf_component_value(double raw, int component_type, bool normalized);
+
+/* gltf_mesh.cpp: parts of one mesh; joints != nullptr: skinned positions in world space. */
+struct gltf_skinning {
+    std::vector<svo_mat4> joints;
+};
+void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape);
+/* A small file can name the same data many times. Refuses what goes far beyond the file's own size. */
+void gltf_charge(gltf_document &d, uint64_t elements);
+
+/* gltf_material.cpp */
+void gltf_build_materials(gltf_document &d, const std::vector<bool> &used, svo_mesh *mesh);
+
+/* draco.cpp */
+struct draco_attribute {
+    uint32_t id;              /* unique id in the stream */
+    int components;           /* filled */
+    bool integral;            /* filled: values are raw integers */
+    std::vector<float> values; /* filled: components per point */
+};
+void draco_decode_mesh(const char *path, const uint8_t *bytes, uint64_t size, std::vector<uint32_t> *indices, uint64_t *points,
+                       std::vector<draco_attribute> *attributes);
+
+/* Owned name copy or throw. */
+inline char *gltf_copy(const gltf_document &d, const std::string &text)
+{
+    char *copy = svo_string_copy(d.context->allocator, text.c_str());
+    if (copy == nullptr) throw std::bad_alloc();
+    return copy;
+}
+template <class T> T *gltf_array(const gltf_document &d, uint64_t count, size_t per = 1)
+{
+    T *p = static_cast<T *>(svo_alloc(d.context->allocator, count, per * sizeof(T)));
+    if (p == nullptr && count != 0) throw std::bad_alloc();
+    return p;
+}
+
+#endif

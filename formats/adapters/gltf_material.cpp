@@ -1,0 +1,167 @@
+/* glTF materials, textures and images. Only images that a used material looks into are decoded. */
+#include "gltf_document.hpp"
+
+#include <cmath>
+#include <cstring>
+
+namespace
+{
+
+struct builder {
+    gltf_document &d;
+    import_images images;
+    std::vector<uint32_t> place; /* of each image of the file, in `images` */
+    std::vector<bool> tried;
+
+    explicit builder(gltf_document &doc) : d(doc), place(doc.images.size(), SVO_NONE), tried(doc.images.size(), false)
+    {
+        import_images_init(&images, d.context);
+    }
+    ~builder() { import_images_free(&images); }
+    builder(const builder &) = delete;
+    builder &operator=(const builder &) = delete;
+
+    uint32_t image(int index)
+    {
+        size_t i = static_cast<size_t>(index);
+        if (d.context->skip_images || tried[i]) return place[i];
+        tried[i] = true;
+        const gltf_image &from = d.images[i];
+        svo_error why{};
+        svo_result r = svo_guard(&why, [&]() -> svo_result {
+            std::unique_ptr<gltf_bytes> fetched;
+            const uint8_t *bytes;
+            uint64_t size = 0;
+            if (from.buffer_view >= 0) {
+                bytes = gltf_view_bytes(d, from.buffer_view, &size);
+            } else if (!from.uri.empty()) {
+                fetched = gltf_fetch(d, from.uri);
+                bytes = fetched->data;
+                size = fetched->size;
+            } else {
+                svo_throw(SVO_INVALID_DATA, "it has neither uri nor bufferView");
+            }
+            return import_image_add(&images, d.context, from.name.c_str(), bytes, size, &place[i], &why);
+        });
+        if (r == SVO_OUT_OF_MEMORY) throw std::bad_alloc();
+        if (r != SVO_OK) {
+            place[i] = SVO_NONE;
+            svo_warn(d.warnings(), "%s: image %zu could not be used (%.120s); the material's colour is used alone", d.path(), i, why.message);
+        }
+        return place[i];
+    }
+
+    svo_texture texture(int index, int uv_set, const tinygltf::ExtensionMap &extensions)
+    {
+        svo_texture t = svo_texture_none();
+        if (index < 0) return t;
+        const tinygltf::Texture &from = d.model.textures.at(static_cast<size_t>(index));
+        auto x = extensions.find("KHR_texture_transform");
+        if (x != extensions.end()) {
+            if (x->second.Has("texCoord")) uv_set = x->second.Get("texCoord").GetNumberAsInt();
+            transform(x->second, t.transform);
+        }
+        if (uv_set < 0 || uv_set >= static_cast<int>(SVO_MAX_UV_SETS)) {
+            svo_warn(d.warnings(), "%s: TEXCOORD_%d is not supported; the texture is left out", d.path(), uv_set);
+            return svo_texture_none();
+        }
+        t.uv_set = static_cast<uint32_t>(uv_set);
+        if (from.source < 0) {
+            const char *why = "it names no image";
+            if (from.extensions.count("EXT_texture_webp") != 0) why = "WebP without a fallback";
+            if (from.extensions.count("KHR_texture_basisu") != 0) why = "KTX2/Basis without a fallback";
+            svo_warn(d.warnings(), "%s: texture %d could not be used (%s); the material's colour is used alone", d.path(), index, why);
+            return svo_texture_none();
+        }
+        t.image = image(from.source);
+        if (t.image == SVO_NONE) return svo_texture_none();
+        if (from.sampler >= 0) {
+            const tinygltf::Sampler &s = d.model.samplers.at(static_cast<size_t>(from.sampler));
+            t.wrap_u = wrap(s.wrapS);
+            t.wrap_v = wrap(s.wrapT);
+            t.nearest = s.magFilter == TINYGLTF_TEXTURE_FILTER_NEAREST;
+        }
+        return t;
+    }
+
+    static svo_wrap wrap(int mode)
+    {
+        return mode == TINYGLTF_TEXTURE_WRAP_CLAMP_TO_EDGE ? SVO_WRAP_CLAMP
+               : mode == TINYGLTF_TEXTURE_WRAP_MIRRORED_REPEAT ? SVO_WRAP_MIRROR : SVO_WRAP_REPEAT;
+    }
+
+    /* Translation * rotation * scale. v points down, so "counter-clockwise" turns from +v towards +u: what all viewers do,
+     * though the extension's sample code has the other sign (KhronosGroup/glTF#1563). */
+    static void transform(const tinygltf::Value &x, double out[6])
+    {
+        auto pair = [&x](const char *key, double fallback, double v[2]) {
+            v[0] = v[1] = fallback;
+            if (!x.Has(key)) return;
+            for (int k = 0; k < 2; k++) v[k] = x.Get(key).Get(k).GetNumberAsDouble();
+        };
+        double offset[2], scale[2];
+        pair("offset", 0, offset);
+        pair("scale", 1, scale);
+        double angle = x.Has("rotation") ? x.Get("rotation").GetNumberAsDouble() : 0;
+        double c = std::cos(angle), s = std::sin(angle);
+        double m[6] = {c * scale[0], s * scale[1], offset[0], -s * scale[0], c * scale[1], offset[1]};
+        std::memcpy(out, m, sizeof m);
+    }
+
+    /* The old workflow: its diffuse colour stands for the base colour, which is right for everything but metals. */
+    void specular_glossiness(const tinygltf::Value &x, svo_material *m)
+    {
+        svo_warn(d.warnings(), "%s: specular-glossiness materials: the diffuse colour is taken as base colour", d.path());
+        if (x.Has("diffuseFactor"))
+            for (int k = 0; k < 4; k++) m->base_color[k] = static_cast<float>(x.Get("diffuseFactor").Get(k).GetNumberAsDouble());
+        m->roughness = 1 - static_cast<float>(x.Has("glossinessFactor") ? x.Get("glossinessFactor").GetNumberAsDouble() : 1);
+        if (!x.Has("diffuseTexture")) return;
+        const tinygltf::Value &t = x.Get("diffuseTexture");
+        tinygltf::ExtensionMap extensions;
+        if (t.Has("extensions") && t.Get("extensions").Has("KHR_texture_transform"))
+            extensions["KHR_texture_transform"] = t.Get("extensions").Get("KHR_texture_transform");
+        m->base_color_texture =
+            texture(t.Get("index").GetNumberAsInt(), t.Has("texCoord") ? t.Get("texCoord").GetNumberAsInt() : 0, extensions);
+    }
+
+    void material(const tinygltf::Material &from, bool used, svo_material *m)
+    {
+        const tinygltf::PbrMetallicRoughness &pbr = from.pbrMetallicRoughness;
+        for (size_t k = 0; k < 4; k++) m->base_color[k] = static_cast<float>(pbr.baseColorFactor.at(k));
+        m->metallic = static_cast<float>(pbr.metallicFactor);
+        m->roughness = static_cast<float>(pbr.roughnessFactor);
+        double strength = 1;
+        auto x = from.extensions.find("KHR_materials_emissive_strength");
+        if (x != from.extensions.end() && x->second.Has("emissiveStrength")) strength = x->second.Get("emissiveStrength").GetNumberAsDouble();
+        for (size_t k = 0; k < 3; k++) m->emissive[k] = static_cast<float>(from.emissiveFactor.at(k) * strength);
+        m->alpha_mode = from.alphaMode == "MASK" ? SVO_ALPHA_MASK : from.alphaMode == "BLEND" ? SVO_ALPHA_BLEND : SVO_ALPHA_OPAQUE;
+        m->alpha_cutoff = static_cast<float>(from.alphaCutoff);
+        m->double_sided = from.doubleSided;
+        if (!used) return;
+        m->base_color_texture = texture(pbr.baseColorTexture.index, pbr.baseColorTexture.texCoord, pbr.baseColorTexture.extensions);
+        m->metallic_roughness_texture =
+            texture(pbr.metallicRoughnessTexture.index, pbr.metallicRoughnessTexture.texCoord, pbr.metallicRoughnessTexture.extensions);
+        m->emissive_texture = texture(from.emissiveTexture.index, from.emissiveTexture.texCoord, from.emissiveTexture.extensions);
+        x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
+        if (x != from.extensions.end() && from.values.empty()) specular_glossiness(x->second, m);
+    }
+};
+
+} // namespace
+
+void gltf_build_materials(gltf_document &d, const std::vector<bool> &used, svo_mesh *mesh)
+{
+    size_t n = d.model.materials.size();
+    builder b(d);
+    if (n != 0) {
+        mesh->materials = gltf_array<svo_material>(d, n);
+        for (size_t i = 0; i < n; i++) mesh->materials[i] = svo_material_default();
+        mesh->material_count = static_cast<uint32_t>(n);
+        for (size_t i = 0; i < n; i++) {
+            mesh->materials[i].name = gltf_copy(d, d.model.materials[i].name);
+            b.material(d.model.materials[i], used[i], &mesh->materials[i]);
+        }
+    }
+    svo_error err{};
+    svo_check(import_images_finish(&b.images, mesh, &err), err);
+}

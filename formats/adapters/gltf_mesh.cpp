@@ -1,0 +1,293 @@
+/* Primitives of a glTF mesh to parts: modes, indices, attributes, Draco, bind-pose skinning. */
+#include "gltf_document.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+namespace
+{
+
+/* The attributes of one primitive, wherever they come from. */
+struct source {
+    std::unique_ptr<gltf_accessor> accessor;
+    const draco_attribute *draco = nullptr;
+    int draco_type = 0;
+    bool draco_normalized = false;
+
+    bool present() const { return accessor != nullptr || draco != nullptr; }
+    int components() const { return draco != nullptr ? draco->components : accessor->components(); }
+    void get(uint64_t i, double *out) const
+    {
+        if (draco == nullptr) {
+            accessor->get(i, out);
+            return;
+        }
+        for (int k = 0; k < draco->components; k++) {
+            double v = static_cast<double>(draco->values[i * static_cast<uint64_t>(draco->components) + static_cast<uint64_t>(k)]);
+            out[k] = draco->integral ? gltf_component_value(v, draco_type, draco_normalized) : v;
+        }
+    }
+};
+
+struct primitive_reader {
+    gltf_document &d;
+    const tinygltf::Primitive &p;
+    std::string where;
+    const gltf_skinning *skinning;
+    int index_accessor; /* -1: none */
+
+    uint64_t vertex_count = 0;
+    std::vector<uint32_t> indices; /* of triangles, already unrolled */
+    std::vector<draco_attribute> draco;
+    uint64_t draco_points = 0;
+    bool is_draco = false;
+
+    [[noreturn]] void bad(const char *why) const { svo_throw(SVO_INVALID_DATA, "%s: %s: %s", d.path(), where.c_str(), why); }
+
+    void decode_draco(const tinygltf::Value &extension)
+    {
+        is_draco = true;
+        const tinygltf::Value &map = extension.Get("attributes");
+        for (const auto &item : p.attributes) {
+            if (!map.Has(item.first)) continue;
+            draco_attribute a{};
+            a.id = static_cast<uint32_t>(map.Get(item.first).GetNumberAsInt());
+            draco.push_back(a);
+        }
+        uint64_t size = 0;
+        const uint8_t *bytes = gltf_view_bytes(d, extension.Get("bufferView").GetNumberAsInt(), &size);
+        std::sort(draco.begin(), draco.end(), [](const draco_attribute &a, const draco_attribute &b) { return a.id < b.id; });
+        draco_decode_mesh(d.path(), bytes, size, &indices, &draco_points, &draco);
+        gltf_charge(d, draco_points + indices.size());
+        d.total_bytes += draco_points; /* what Draco unpacked is data of the file, too */
+    }
+
+    /* NULL source when the primitive has no such attribute. */
+    source find(const char *name, int min_components, int max_components)
+    {
+        source s;
+        auto it = p.attributes.find(name);
+        if (it == p.attributes.end()) return s;
+        std::string what = where + ", " + name;
+        if (is_draco) {
+            const tinygltf::Value &map = p.extensions.at("KHR_draco_mesh_compression").Get("attributes");
+            if (map.Has(name)) {
+                uint32_t id = static_cast<uint32_t>(map.Get(name).GetNumberAsInt());
+                for (const draco_attribute &a : draco)
+                    if (a.id == id) s.draco = &a;
+                const tinygltf::Accessor &a = d.model.accessors.at(static_cast<size_t>(it->second));
+                s.draco_type = a.componentType;
+                s.draco_normalized = a.normalized;
+                if (s.draco->components < min_components || s.draco->components > max_components) bad("a Draco attribute has the wrong type");
+                return s;
+            }
+        }
+        s.accessor = std::make_unique<gltf_accessor>(d, it->second, what.c_str(), min_components, max_components);
+        if (s.accessor->count() != vertex_count) bad("attributes have different lengths");
+        if (s.accessor->component_type() == TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT) bad("an attribute of 32-bit integers");
+        return s;
+    }
+
+    void read_indices();
+    void unroll(uint64_t n, const gltf_accessor *from);
+    void build(svo_part *part);
+    void fill(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
+    void skin(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
+};
+
+/* n indices (from the accessor, or 0..n-1) to triangles. */
+void primitive_reader::unroll(uint64_t n, const gltf_accessor *from)
+{
+    auto get = [&](uint64_t i) -> uint32_t { return from != nullptr ? from->get_index(i) : static_cast<uint32_t>(i); };
+    if (n > UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 indices", d.path(), where.c_str());
+    uint64_t triangles = p.mode == TINYGLTF_MODE_TRIANGLES ? n / 3 : n >= 3 ? n - 2 : 0;
+    gltf_charge(d, 3 * triangles);
+    indices.reserve(3 * triangles);
+    if (p.mode == TINYGLTF_MODE_TRIANGLES) {
+        if (n % 3 != 0) svo_warn(d.warnings(), "%s: %s: indices are no multiple of three; the rest is left out", d.path(), where.c_str());
+        for (uint64_t i = 0; i < 3 * triangles; i++) indices.push_back(get(i));
+        return;
+    }
+    bool strip = p.mode == TINYGLTF_MODE_TRIANGLE_STRIP;
+    for (uint64_t i = 0; i < triangles; i++) {
+        /* Strips turn every second triangle; fans share vertex 0 (specification, 3.7.2.1). */
+        uint64_t a = strip ? i : 0, b = strip ? i + 1 + (i & 1) : i + 1, c = strip ? i + 2 - (i & 1) : i + 2;
+        uint32_t t[3] = {get(a), get(b), get(c)};
+        indices.insert(indices.end(), t, t + 3);
+    }
+}
+
+void primitive_reader::read_indices()
+{
+    if (is_draco) {
+        if (p.mode == TINYGLTF_MODE_TRIANGLES || p.mode == TINYGLTF_MODE_TRIANGLE_STRIP) return; /* decoded as triangles in any case */
+        bad("Draco data in a mode that is not triangles");
+    }
+    if (index_accessor < 0) {
+        unroll(vertex_count, nullptr);
+        return;
+    }
+    gltf_accessor a(d, index_accessor, (where + ", indices").c_str(), 1, 1);
+    int t = a.component_type();
+    if (t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
+        bad("indices are not unsigned integers");
+    unroll(a.count(), &a);
+}
+
+void primitive_reader::fill(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n)
+{
+    auto vertex = [&](uint64_t i) -> uint64_t { return keep.empty() ? i : keep[i]; };
+    double v[16];
+    source positions = find("POSITION", 3, 3);
+    part->positions = gltf_array<double>(d, n, 3);
+    for (uint64_t i = 0; i < n; i++) {
+        positions.get(vertex(i), v);
+        std::memcpy(part->positions + 3 * i, v, 3 * sizeof(double));
+    }
+    source normals = find("NORMAL", 3, 3);
+    if (normals.present()) {
+        part->normals = gltf_array<float>(d, n, 3);
+        for (uint64_t i = 0; i < n; i++) {
+            normals.get(vertex(i), v);
+            for (uint64_t k = 0; k < 3; k++) part->normals[3 * i + k] = static_cast<float>(v[k]);
+        }
+    }
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) {
+        source uvs = find(("TEXCOORD_" + std::to_string(u)).c_str(), 2, 2);
+        if (!uvs.present()) continue;
+        part->uvs[u] = gltf_array<float>(d, n, 2);
+        for (uint64_t i = 0; i < n; i++) {
+            uvs.get(vertex(i), v);
+            part->uvs[u][2 * i] = static_cast<float>(v[0]);
+            part->uvs[u][2 * i + 1] = static_cast<float>(v[1]);
+        }
+    }
+    source colors = find("COLOR_0", 3, 4);
+    if (colors.present()) {
+        part->colors = gltf_array<float>(d, n, 4);
+        for (uint64_t i = 0; i < n; i++) {
+            v[3] = 1;
+            colors.get(vertex(i), v);
+            /* Linear, 0..1 by the specification; what is not a number is white. */
+            for (uint64_t k = 0; k < 4; k++) part->colors[4 * i + k] = std::isnan(v[k]) ? 1.0f : static_cast<float>(std::clamp(v[k], 0.0, 1.0));
+        }
+    }
+}
+
+/* Bind pose: vertex = sum of weight * joint matrix * vertex. The instance then stands at the origin (a skinned node's own
+ * transform has no effect). */
+void primitive_reader::skin(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n)
+{
+    struct set { source joints, weights; };
+    std::vector<set> sets;
+    for (int s = 0; s < 4; s++) {
+        set one;
+        one.joints = find(("JOINTS_" + std::to_string(s)).c_str(), 4, 4);
+        one.weights = find(("WEIGHTS_" + std::to_string(s)).c_str(), 4, 4);
+        if (!one.joints.present() || !one.weights.present()) break;
+        sets.push_back(std::move(one));
+    }
+    if (sets.empty()) {
+        svo_warn(d.warnings(), "%s: %s has a skin but no joints and weights; taken as it is, at the origin", d.path(), where.c_str());
+        return;
+    }
+    for (uint64_t i = 0; i < n; i++) {
+        uint64_t from = keep.empty() ? i : keep[i];
+        svo_mat4 m{};
+        double total = 0;
+        for (const set &s : sets) {
+            double joint[4], weight[4];
+            s.joints.get(from, joint);
+            s.weights.get(from, weight);
+            for (int k = 0; k < 4; k++) {
+                if (weight[k] == 0) continue;
+                if (!(joint[k] >= 0 && joint[k] < static_cast<double>(skinning->joints.size()))) bad("a joint index is out of range");
+                const svo_mat4 &j = skinning->joints[static_cast<size_t>(joint[k])];
+                for (int e = 0; e < 16; e++) m.m[e] += weight[k] * j.m[e];
+                total += weight[k];
+            }
+        }
+        if (!(std::fabs(total) > 0) || !std::isfinite(total)) { /* bound to nothing: the first joint carries it */
+            m = skinning->joints[0];
+            total = 1;
+        }
+        for (double &e : m.m) e /= total;
+        svo_vec3 q = svo_mat4_point(&m, svo_v3(part->positions[3 * i], part->positions[3 * i + 1], part->positions[3 * i + 2]));
+        part->positions[3 * i] = q.x, part->positions[3 * i + 1] = q.y, part->positions[3 * i + 2] = q.z;
+        if (part->normals == nullptr) continue;
+        float *o = part->normals + 3 * i;
+        svo_vec3 normal = svo_normalize(
+            svo_mat4_normal(&m, svo_v3(static_cast<double>(o[0]), static_cast<double>(o[1]), static_cast<double>(o[2]))));
+        o[0] = static_cast<float>(normal.x), o[1] = static_cast<float>(normal.y), o[2] = static_cast<float>(normal.z);
+    }
+}
+
+void primitive_reader::build(svo_part *part)
+{
+    part->material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
+    auto extension = p.extensions.find("KHR_draco_mesh_compression");
+    if (extension != p.extensions.end()) decode_draco(extension->second);
+    auto position = p.attributes.find("POSITION");
+    if (position == p.attributes.end()) {
+        svo_warn(d.warnings(), "%s: %s has no positions; left out", d.path(), where.c_str());
+        return;
+    }
+    vertex_count = is_draco ? draco_points : d.model.accessors.at(static_cast<size_t>(position->second)).count;
+    if (vertex_count >= UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 vertices", d.path(), where.c_str());
+    read_indices();
+    for (uint32_t i : indices)
+        if (i >= vertex_count)
+            svo_throw(SVO_INVALID_DATA, "%s: %s: index %u, but there are %llu vertices", d.path(), where.c_str(), i,
+                      (unsigned long long)vertex_count);
+    /* Meshes that share one large vertex buffer take only what they use; so memory follows the indices. */
+    std::vector<uint32_t> keep;
+    if (vertex_count > indices.size()) {
+        keep = indices;
+        std::sort(keep.begin(), keep.end());
+        keep.erase(std::unique(keep.begin(), keep.end()), keep.end());
+        for (uint32_t &i : indices) i = static_cast<uint32_t>(std::lower_bound(keep.begin(), keep.end(), i) - keep.begin());
+    }
+    uint64_t n = keep.empty() && !indices.empty() ? vertex_count : keep.size();
+    if (n == 0) return;
+    gltf_charge(d, n);
+    part->vertex_count = n;
+    part->triangle_count = indices.size() / 3;
+    fill(part, keep, n);
+    if (skinning != nullptr) skin(part, keep, n);
+    part->indices = gltf_array<uint32_t>(d, part->triangle_count, 3);
+    std::memcpy(part->indices, indices.data(), indices.size() * sizeof(uint32_t));
+    if (!p.targets.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
+}
+
+} // namespace
+
+void gltf_charge(gltf_document &d, uint64_t elements)
+{
+    uint64_t limit = (uint64_t{1} << 24) + 64 * std::min(d.total_bytes, UINT64_MAX / 128);
+    if (elements > limit || d.elements > limit - elements)
+        svo_throw(SVO_LIMIT, "%s: the meshes name the same data so often that they are far larger than the file", d.path());
+    d.elements += elements;
+}
+
+void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape)
+{
+    const tinygltf::Mesh &m = d.model.meshes.at(static_cast<size_t>(mesh));
+    shape->name = gltf_copy(d, m.name.empty() ? "mesh " + std::to_string(mesh) : m.name);
+    uint32_t count = static_cast<uint32_t>(m.primitives.size());
+    if (count == 0) return;
+    shape->parts = gltf_array<svo_part>(d, count);
+    std::memset(static_cast<void *>(shape->parts), 0, count * sizeof(svo_part));
+    shape->part_count = count;
+    for (uint32_t i = 0; i < count; i++) {
+        const tinygltf::Primitive &p = m.primitives[i];
+        shape->parts[i].material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
+        if (p.mode < TINYGLTF_MODE_TRIANGLES) {
+            svo_warn(d.warnings(), "%s: points and lines are left out", d.path());
+            continue;
+        }
+        primitive_reader r{d, p, "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
+                           d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false};
+        r.build(&shape->parts[i]);
+    }
+}

@@ -1,0 +1,238 @@
+/* The node forest of the drawn scene to shapes, instances and cameras. */
+#include "gltf_document.hpp"
+
+#include <cmath>
+#include <cstring>
+#include <map>
+
+namespace
+{
+
+struct scene_builder {
+    gltf_document &d;
+    svo_mesh *mesh;
+    std::vector<svo_mat4> world;
+    std::vector<svo_shape> shapes; /* owned until finish() */
+    std::vector<svo_instance> instances;
+    std::vector<svo_camera> cameras;
+    std::map<std::pair<int, int>, uint32_t> known; /* (mesh, skin or -1) -> shape */
+
+    scene_builder(gltf_document &doc, svo_mesh *out) : d(doc), mesh(out) {}
+    scene_builder(const scene_builder &) = delete;
+    scene_builder &operator=(const scene_builder &) = delete;
+    ~scene_builder()
+    {
+        const svo_allocator *a = d.context->allocator;
+        for (svo_shape &s : shapes) {
+            for (uint32_t i = 0; i < s.part_count; i++) import_part_free(a, &s.parts[i]);
+            svo_free(a, s.parts, s.part_count, sizeof(svo_part));
+            svo_string_free(a, s.name);
+        }
+        for (svo_instance &i : instances) svo_string_free(a, i.name);
+        for (svo_camera &c : cameras) svo_string_free(a, c.name);
+    }
+
+    static svo_mat4 local(const tinygltf::Node &n)
+    {
+        if (n.matrix.size() == 16) { /* column-major */
+            svo_mat4 m;
+            for (size_t r = 0; r < 4; r++)
+                for (size_t c = 0; c < 4; c++) m.m[4 * r + c] = n.matrix[4 * c + r];
+            return m;
+        }
+        double t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
+        if (n.translation.size() == 3) std::copy(n.translation.begin(), n.translation.end(), t);
+        if (n.rotation.size() == 4) std::copy(n.rotation.begin(), n.rotation.end(), q);
+        if (n.scale.size() == 3) std::copy(n.scale.begin(), n.scale.end(), s);
+        return svo_mat4_trs(t, q, s);
+    }
+
+    /* Nodes below the roots in depth-first order of the file, without recursion; sets their world transforms. */
+    std::vector<int> walk(const std::vector<int> &roots)
+    {
+        std::vector<int> order, stack(roots.rbegin(), roots.rend());
+        while (!stack.empty()) {
+            int i = stack.back();
+            stack.pop_back();
+            order.push_back(i);
+            const std::vector<int> &c = d.model.nodes[static_cast<size_t>(i)].children;
+            stack.insert(stack.end(), c.rbegin(), c.rend());
+        }
+        return order;
+    }
+
+    void transforms()
+    {
+        size_t n = d.model.nodes.size();
+        std::vector<int> roots;
+        for (size_t i = 0; i < n; i++)
+            if (d.parent[i] < 0) roots.push_back(static_cast<int>(i));
+        world.resize(n);
+        for (int i : walk(roots)) { /* all nodes: joints may stand outside the scene */
+            size_t k = static_cast<size_t>(i);
+            world[k] = local(d.model.nodes[k]);
+            if (d.parent[k] >= 0) world[k] = svo_mat4_mul(world[static_cast<size_t>(d.parent[k])], world[k]);
+        }
+    }
+
+    std::vector<int> scene_roots()
+    {
+        const std::vector<tinygltf::Scene> &scenes = d.model.scenes;
+        if (d.scene >= 0) return scenes.at(static_cast<size_t>(d.scene)).nodes;
+        if (!scenes.empty()) {
+            if (scenes.size() > 1) svo_warn(d.warnings(), "%s: no default scene of %zu; the first is taken", d.path(), scenes.size());
+            return scenes[0].nodes;
+        }
+        std::vector<int> roots;
+        for (size_t i = 0; i < d.parent.size(); i++)
+            if (d.parent[i] < 0) roots.push_back(static_cast<int>(i));
+        if (!roots.empty()) svo_warn(d.warnings(), "%s: no scene; all nodes are taken", d.path());
+        return roots;
+    }
+
+    gltf_skinning skinning(int skin)
+    {
+        const tinygltf::Skin &s = d.model.skins.at(static_cast<size_t>(skin));
+        gltf_skinning out;
+        std::unique_ptr<gltf_accessor> inverse;
+        if (s.inverseBindMatrices >= 0) {
+            inverse = std::make_unique<gltf_accessor>(d, s.inverseBindMatrices, "inverse bind matrices", 16, 16);
+            if (inverse->component_type() != TINYGLTF_COMPONENT_TYPE_FLOAT || inverse->count() < s.joints.size())
+                svo_throw(SVO_INVALID_DATA, "%s: skin %d has too few or wrong inverse bind matrices", d.path(), skin);
+        }
+        for (size_t j = 0; j < s.joints.size(); j++) {
+            svo_mat4 m = world[static_cast<size_t>(s.joints[j])];
+            if (inverse != nullptr) {
+                double v[16];
+                svo_mat4 bind;
+                inverse->get(j, v);
+                for (int r = 0; r < 4; r++)
+                    for (int c = 0; c < 4; c++) bind.m[4 * r + c] = v[4 * c + r];
+                m = svo_mat4_mul(m, bind);
+            }
+            out.joints.push_back(m);
+        }
+        return out;
+    }
+
+    uint32_t shape(int mesh_index, int skin)
+    {
+        auto it = known.find({mesh_index, skin});
+        if (it != known.end()) return it->second;
+        shapes.push_back(svo_shape{});
+        if (skin >= 0) {
+            svo_warn(d.warnings(), "%s: skins are taken in their bind pose", d.path());
+            gltf_skinning s = skinning(skin);
+            gltf_build_parts(d, mesh_index, &s, &shapes.back());
+        } else {
+            gltf_build_parts(d, mesh_index, nullptr, &shapes.back());
+        }
+        uint32_t index = static_cast<uint32_t>(shapes.size() - 1);
+        known[{mesh_index, skin}] = index;
+        return index;
+    }
+
+    void add_instance(const std::string &name, uint32_t shape_index, const svo_mat4 &transform)
+    {
+        if (instances.size() >= UINT32_MAX - 1) svo_throw(SVO_LIMIT, "%s: more than 2^32 instances", d.path());
+        instances.push_back(svo_instance{nullptr, shape_index, transform});
+        instances.back().name = gltf_copy(d, name);
+    }
+
+    /* EXT_mesh_gpu_instancing: one transform per element, below the node. */
+    void add_gpu_instances(const tinygltf::Node &n, const svo_mat4 &node_world, uint32_t shape_index, const tinygltf::Value &extension)
+    {
+        const tinygltf::Value &map = extension.Get("attributes");
+        std::unique_ptr<gltf_accessor> part[3];
+        static const char *const names[3] = {"TRANSLATION", "ROTATION", "SCALE"};
+        uint64_t count = 0;
+        bool any = false;
+        for (int k = 0; k < 3; k++) {
+            if (!map.IsObject() || !map.Has(names[k])) continue;
+            int want = k == 1 ? 4 : 3;
+            part[k] = std::make_unique<gltf_accessor>(d, map.Get(names[k]).GetNumberAsInt(), names[k], want, want);
+            if (any && part[k]->count() != count)
+                svo_throw(SVO_INVALID_DATA, "%s: instance attributes of node '%.60s' have different lengths", d.path(), n.name.c_str());
+            count = part[k]->count();
+            any = true;
+        }
+        if (!any) { /* only custom attributes: their length is the number of instances, all in one place */
+            svo_warn(d.warnings(), "%s: instances without transforms are drawn once", d.path());
+            add_instance(n.name, shape_index, node_world);
+            return;
+        }
+        gltf_charge(d, count);
+        instances.reserve(instances.size() + count);
+        for (uint64_t i = 0; i < count; i++) {
+            double t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
+            if (part[0]) part[0]->get(i, t);
+            if (part[1]) part[1]->get(i, q);
+            if (part[2]) part[2]->get(i, s);
+            add_instance(n.name, shape_index, svo_mat4_mul(node_world, svo_mat4_trs(t, q, s)));
+        }
+    }
+
+    void add_camera(const tinygltf::Node &n, const svo_mat4 &node_world)
+    {
+        const tinygltf::Camera &c = d.model.cameras.at(static_cast<size_t>(n.camera));
+        if (c.type != "perspective" || !(c.perspective.yfov > 0) || !(c.perspective.yfov < 3.2)) {
+            svo_warn(d.warnings(), "%s: only perspective cameras are used", d.path());
+            return;
+        }
+        cameras.push_back(svo_camera{nullptr, node_world, c.perspective.yfov});
+        cameras.back().name = gltf_copy(d, c.name.empty() ? n.name : c.name);
+    }
+
+    void build()
+    {
+        transforms();
+        for (int i : walk(scene_roots())) {
+            const tinygltf::Node &n = d.model.nodes[static_cast<size_t>(i)];
+            const svo_mat4 &w = world[static_cast<size_t>(i)];
+            if (n.camera >= 0) add_camera(n, w);
+            if (n.mesh < 0) continue;
+            if (!n.weights.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
+            uint32_t s = shape(n.mesh, n.skin);
+            auto x = n.extensions.find("EXT_mesh_gpu_instancing");
+            if (x != n.extensions.end() && n.skin < 0) add_gpu_instances(n, w, s, x->second);
+            else add_instance(n.name, s, n.skin >= 0 ? svo_mat4_identity() : w);
+        }
+    }
+
+    template <class T> static void move(gltf_document &doc, std::vector<T> &from, T **to, uint32_t *count)
+    {
+        if (from.empty()) return;
+        *to = gltf_array<T>(doc, from.size());
+        std::memcpy(static_cast<void *>(*to), from.data(), from.size() * sizeof(T));
+        *count = static_cast<uint32_t>(from.size());
+        from.clear();
+    }
+
+    void finish()
+    {
+        std::vector<bool> used(d.model.materials.size(), false);
+        for (const svo_shape &s : shapes)
+            for (uint32_t i = 0; i < s.part_count; i++)
+                if (s.parts[i].material != SVO_NONE && s.parts[i].triangle_count != 0) used[s.parts[i].material] = true;
+        gltf_build_materials(d, used, mesh);
+        move(d, shapes, &mesh->shapes, &mesh->shape_count);
+        move(d, instances, &mesh->instances, &mesh->instance_count);
+        move(d, cameras, &mesh->cameras, &mesh->camera_count);
+    }
+};
+
+} // namespace
+
+extern "C" svo_result import_gltf(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    return svo_guard(err, [&]() -> svo_result {
+        gltf_document d;
+        d.context = c;
+        mesh->allocator = c->allocator;
+        gltf_load(d, bytes, size);
+        scene_builder b(d, mesh);
+        b.build();
+        b.finish();
+        return SVO_OK;
+    });
+}

@@ -1,0 +1,108 @@
+/* Which importer reads a file: by content where the content says it, else by extension. */
+#include "fmt_import.h"
+
+#include <string.h>
+#include <strings.h>
+
+#include "fmt_container.h"
+#include "import_common.h"
+#include "import_text.h"
+
+static bool starts(const uint8_t *bytes, uint64_t size, const char *text)
+{
+    size_t n = strlen(text);
+    return size >= n && memcmp(bytes, text, n) == 0;
+}
+
+static const char *extension(const char *path)
+{
+    const char *slash = strrchr(path, '/'), *dot = strrchr(path, '.');
+    return dot != NULL && (slash == NULL || dot > slash) ? dot + 1 : "";
+}
+
+static import_reader *by_extension(const char *path)
+{
+    static const struct { const char *extension; import_reader *reader; } table[] = {
+        {"gltf", import_gltf}, {"glb", import_gltf}, {"obj", import_obj}, {"drc", import_drc},
+    };
+    for (size_t i = 0; i < sizeof table / sizeof *table; i++)
+        if (strcasecmp(extension(path), table[i].extension) == 0) return table[i].reader;
+    return NULL;
+}
+
+/* A line that begins as OBJ lines do, among the first that are not comments. */
+static bool looks_like_obj(const char *p, const char *end)
+{
+    static const char *const words[] = {"v", "vt", "vn", "f", "o", "g", "s", "mtllib", "usemtl"};
+    for (int lines = 0; p < end && lines < 64; lines++) {
+        const char *stop = memchr(p, '\n', (size_t)(end - p));
+        if (stop == NULL) stop = end;
+        const char *q = import_skip_blank(p, stop);
+        if (q < stop && *q != '#') {
+            for (size_t i = 0; i < sizeof words / sizeof *words; i++)
+                if (import_word(q, stop, words[i]) != NULL) return true;
+            return false;
+        }
+        p = stop < end ? stop + 1 : end;
+    }
+    return false;
+}
+
+static import_reader *by_content(const uint8_t *bytes, uint64_t size)
+{
+    const char *p = (const char *)bytes, *end = p + size;
+    if (starts(bytes, size, "glTF")) return import_gltf;
+    if (starts(bytes, size, "DRACO")) return import_drc;
+    p = import_skip_space(p, end);
+    if (p < end && *p == '{') return import_gltf;
+    return NULL;
+}
+
+static svo_result make_context(const char *path, const fmt_import_options *o, import_context *c, svo_error *err)
+{
+    memset(c, 0, sizeof *c);
+    c->path = path;
+    c->allocator = o->allocator != NULL ? o->allocator : svo_default_allocator();
+    c->warnings = o->warnings;
+    c->max_file_bytes = o->max_file_bytes != 0 ? o->max_file_bytes : (uint64_t)16 << 30;
+    c->max_image_pixels = o->max_image_pixels;
+    c->skip_images = o->skip_images;
+    const char *slash = strrchr(path, '/');
+    size_t n = slash != NULL ? (size_t)(slash - path) + 1 : 0;
+    if (n >= sizeof c->folder) return svo_fail(err, SVO_INVALID_ARGUMENT, "%.100s...: the path is too long", path);
+    memcpy(c->folder, path, n);
+    return SVO_OK;
+}
+
+svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, svo_mesh *out, svo_error *err)
+{
+    fmt_import_options defaults = {0};
+    import_context *c = svo_alloc(NULL, 1, sizeof *c);
+    if (c == NULL) return import_no_memory(err);
+    svo_result r = make_context(path, options != NULL ? options : &defaults, c, err);
+    fmt_bytes bytes = {0};
+    if (r == SVO_OK) r = fmt_bytes_open(path, c->max_file_bytes, c->allocator, &bytes, err);
+    if (r != SVO_OK) {
+        svo_free(NULL, c, 1, sizeof *c);
+        return r;
+    }
+    svo_mesh mesh = {.allocator = c->allocator};
+    import_reader *reader = by_content(bytes.data, bytes.size);
+    if (reader == NULL) reader = by_extension(path);
+    if (reader == NULL && looks_like_obj((const char *)bytes.data, (const char *)bytes.data + bytes.size)) reader = import_obj;
+    if (reader == NULL)
+        r = svo_fail(err, SVO_UNSUPPORTED, "%s: not a mesh format that is known (.gltf .glb .obj .ply .stl .off .drc)", path);
+    else if (bytes.size == 0)
+        r = svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
+    else
+        r = reader(c, bytes.data, bytes.size, &mesh, err);
+    fmt_bytes_close(&bytes);
+    if (r == SVO_OK) {
+        if (svo_mesh_count(&mesh).placed_triangles == 0) svo_warn(c->warnings, "%s: no triangles", path);
+        *out = mesh;
+    } else {
+        svo_mesh_free(&mesh);
+    }
+    svo_free(NULL, c, 1, sizeof *c);
+    return r;
+}
