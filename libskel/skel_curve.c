@@ -162,25 +162,44 @@ static svo_result replace_triangles(skeli_pool *pool, curve *c, svo_error *err)
     return SVO_OK;
 }
 
-/* Area-weighted centroids of what is mapped to each welded joint (plain mean where that has no area). */
+/* Centre each welded joint: move it from where it was contracted to towards the area-weighted centroid (plain mean where there is no
+ * area) of the surface that is mapped to it. The centroid is the centre of a surface that lies around the joint, but of a cap it is a point
+ * near the cap: so the more one-sided the surface (displacement over mean distance), the less of the way is gone. */
+#define AROUND 0.65    /* up to here all of it */
+#define ONE_SIDED 0.9 /* from here on nothing */
+
 static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, const double *ring, curve *c, svo_error *err)
 {
-    double *sum = skeli_take(pool, 8 * (uint64_t)c->welded, sizeof *sum);
+    enum { AREA, CENTROID, COUNT = 4, MEAN, DISTANCE = 8, AREA_DISTANCE, COLUMNS };
+    double *sum = skeli_take(pool, COLUMNS * (uint64_t)c->welded, sizeof *sum);
     if (sum == NULL) return skeli_no_memory(err);
-    memset(sum, 0, 8 * (uint64_t)c->welded * sizeof *sum);
+    memset(sum, 0, COLUMNS * (uint64_t)c->welded * sizeof *sum);
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
-        double *s = sum + 8 * (uint64_t)c->joint_of[v];
-        s[0] += ring[v];
-        s[4] += 1;
+        double *s = sum + COLUMNS * (uint64_t)c->joint_of[v], distance2 = 0;
+        const double *at = c->position + 3 * (uint64_t)c->joint_of[v];
+        s[AREA] += ring[v];
+        s[COUNT] += 1;
         for (int k = 0; k < 3; k++) {
             double x = mesh->position[3 * (uint64_t)v + (uint64_t)k];
-            s[1 + k] += ring[v] * x;
-            s[5 + k] += x;
+            s[CENTROID + k] += ring[v] * x;
+            s[MEAN + k] += x;
+            distance2 += (x - at[k]) * (x - at[k]);
         }
+        s[DISTANCE] += sqrt(distance2);
+        s[AREA_DISTANCE] += ring[v] * sqrt(distance2);
     }
     for (uint32_t j = 0; j < c->welded; j++) {
-        const double *s = sum + 8 * (uint64_t)j;
-        for (int k = 0; k < 3; k++) c->position[3 * (uint64_t)j + (uint64_t)k] = s[0] > 0 ? s[1 + k] / s[0] : s[5 + k] / s[4];
+        const double *s = sum + COLUMNS * (uint64_t)j;
+        double *at = c->position + 3 * (uint64_t)j, to[3], moved2 = 0;
+        bool area = s[AREA] > 0;
+        for (int k = 0; k < 3; k++) {
+            to[k] = area ? s[CENTROID + k] / s[AREA] : s[MEAN + k] / s[COUNT];
+            moved2 += (to[k] - at[k]) * (to[k] - at[k]);
+        }
+        double distance = area ? s[AREA_DISTANCE] / s[AREA] : s[DISTANCE] / s[COUNT];
+        double one_sided = distance > 0 ? sqrt(moved2) / distance : 0, f = (ONE_SIDED - one_sided) / (ONE_SIDED - AROUND);
+        f = f < 0 ? 0 : f > 1 ? 1 : f;
+        for (int k = 0; k < 3; k++) at[k] += f * (to[k] - at[k]);
     }
     skeli_give(pool, sum);
     return SVO_OK;

@@ -4,6 +4,7 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* --- normalisation ------------------------------------------------------------------------------------------------ */
@@ -76,13 +77,25 @@ static sphere small_ball(double p[5][3], int *n)
     return best;
 }
 
+static int by_position(const void *a, const void *b)
+{
+    const double *x = a, *y = b;
+    for (int k = 0; k < 3; k++)
+        if (x[k] != y[k]) return x[k] < y[k] ? -1 : 1;
+    return 0;
+}
+
 /* Smallest enclosing ball of points in [-1, 1]^3: grow the defining set by the farthest point until none is outside. The radius grows
- * strictly, so this ends; 64 rounds are far more than was ever seen. */
+ * strictly, so this ends; 64 rounds are far more than was ever seen. Ties go to the smallest point and the set is kept sorted, so that the
+ * result does not depend on the order of the points. */
 static sphere enclosing_ball(const double *p, uint64_t count, const double shift[3], double inverse)
 {
     double support[5][3];
     int n = 1;
-    for (int k = 0; k < 3; k++) support[0][k] = (p[k] - shift[k]) * inverse;
+    const double *least = p;
+    for (uint64_t i = 1; i < count; i++)
+        if (by_position(p + 3 * i, least) < 0) least = p + 3 * i;
+    for (int k = 0; k < 3; k++) support[0][k] = (least[k] - shift[k]) * inverse;
     sphere s = {.radius = 0};
     memcpy(s.centre, support[0], sizeof s.centre);
     for (int round = 0; round < 64; round++) {
@@ -91,13 +104,14 @@ static sphere enclosing_ball(const double *p, uint64_t count, const double shift
             double q[3];
             for (int k = 0; k < 3; k++) q[k] = (p[3 * i + (uint64_t)k] - shift[k]) * inverse;
             double x = q[0] - s.centre[0], y = q[1] - s.centre[1], z = q[2] - s.centre[2], d = x * x + y * y + z * z;
-            if (d <= far) continue;
+            if (d < far || (d == far && by_position(q, at) >= 0)) continue;
             far = d;
             memcpy(at, q, sizeof at);
         }
         far = sqrt(far);
         if (far <= s.radius * (1 + 1e-9) + 1e-12) break;
         memcpy(support[n++], at, sizeof at);
+        qsort(support, (size_t)n, sizeof support[0], by_position);
         sphere next = small_ball(support, &n);
         if (!(next.radius < DBL_MAX) || next.radius <= s.radius) { /* rounding: take what encloses everything */
             s.radius = far;

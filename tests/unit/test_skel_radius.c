@@ -1,0 +1,123 @@
+/* Ball sums: FLANN and the grid against brute force, bit for bit, on the layouts that are hard for either. */
+#include "skel_radius.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "test.h"
+
+enum { MAX_POINTS = 20000 };
+static int32_t point[3 * MAX_POINTS];
+static uint32_t weight[MAX_POINTS];
+static skel_ball_sum slow[MAX_POINTS], got[MAX_POINTS];
+
+static void brute(uint64_t n, double radius)
+{
+    float r = (float)radius, squared = r * r;
+    for (uint64_t i = 0; i < n; i++) {
+        skel_ball_sum s = {0};
+        for (uint64_t j = 0; j < n; j++) {
+            float d[3];
+            for (uint64_t k = 0; k < 3; k++) d[k] = (float)point[3 * i + k] / SKEL_LATTICE - (float)point[3 * j + k] / SKEL_LATTICE;
+            if (!((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2] < squared)) continue;
+            s.x += (int64_t)weight[j] * point[3 * j];
+            s.y += (int64_t)weight[j] * point[3 * j + 1];
+            s.z += (int64_t)weight[j] * point[3 * j + 2];
+            s.weight += weight[j];
+        }
+        slow[i] = s;
+    }
+}
+
+static void compare(uint64_t n, double radius)
+{
+    svo_error err = {0};
+    brute(n, radius);
+    for (uint32_t threads = 1; threads <= 7; threads += 3) {
+        memset(got, 0xff, sizeof got);
+        CHECK_OK(skel_radius_flann(point, weight, n, radius, threads, got, &err));
+        CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "FLANN differs: %llu points, radius %g, %u threads", (unsigned long long)n, radius, threads);
+        memset(got, 0xff, sizeof got);
+        CHECK_OK(skel_radius_grid(NULL, point, weight, n, radius, threads, got, &err));
+        CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "the grid differs: %llu points, radius %g, %u threads", (unsigned long long)n, radius, threads);
+    }
+}
+
+static int32_t coordinate(uint64_t *seed, int32_t range) { return (int32_t)((test_random_unit(seed) * 2 - 1) * range); }
+
+TEST(volume)
+{
+    uint64_t seed = 1;
+    for (uint64_t n = 1; n <= 4000; n = n * 3 + 1) {
+        for (uint64_t i = 0; i < n; i++) {
+            for (uint64_t k = 0; k < 3; k++) point[3 * i + k] = coordinate(&seed, SKEL_LATTICE - 1);
+            weight[i] = 1 + (uint32_t)(test_random(&seed) % 5);
+        }
+        for (double radius = 0.003; radius < 4 && !test_failed(); radius *= 3) compare(n, radius);
+    }
+}
+
+TEST(line_and_plane)
+{
+    uint64_t seed = 2, n = 3000;
+    for (int flat = 1; flat <= 2; flat++) {
+        for (uint64_t i = 0; i < n; i++) {
+            for (uint64_t k = 0; k < 3; k++) point[3 * i + k] = (int)k < flat ? coordinate(&seed, 1000000) : -77;
+            weight[i] = 1;
+        }
+        compare(n, 0.01);
+        if (test_failed()) return;
+        compare(n, 0.0002);
+    }
+}
+
+/* Distances that are exactly the radius, and lattice points a hair inside or outside: the rounding of tree bounds must not show. */
+TEST(exactly_at_the_radius)
+{
+    uint64_t n = 0;
+    int32_t step = 4096; /* 2^-12 */
+    for (int z = 0; z < 14; z++)
+        for (int y = 0; y < 14; y++)
+            for (int x = 0; x < 14; x++) {
+                int32_t p[3] = {x * step - 8000000, y * step + 5000000, z * step - 123};
+                memcpy(point + 3 * n, p, sizeof p);
+                weight[n++] = 1;
+            }
+    compare(n, 2.0 / 4096);
+    if (test_failed()) return;
+    compare(n, 3.0 / 4096 * 1.0000001);
+    if (test_failed()) return;
+    compare(n, 5.0 / 4096 * 0.9999999);
+}
+
+TEST(coincident)
+{
+    uint64_t n = 3000;
+    for (uint64_t i = 0; i < n; i++) {
+        int32_t p[3] = {(int32_t)(i % 3) * 500000, -9, 9};
+        memcpy(point + 3 * i, p, sizeof p);
+        weight[i] = (uint32_t)(i + 1);
+    }
+    compare(n, 0.01);
+    if (test_failed()) return;
+    compare(n, 1);
+}
+
+TEST(clusters_far_apart)
+{
+    uint64_t seed = 3, n = 4000;
+    for (uint64_t i = 0; i < n; i++) {
+        for (uint64_t k = 0; k < 3; k++) point[3 * i + k] = (i % 8 >> k & 1 ? 1 : -1) * (SKEL_LATTICE - 40000) + coordinate(&seed, 30000);
+        weight[i] = 1 << 20;
+    }
+    compare(n, 0.0009);
+    if (test_failed()) return;
+    compare(n, 0.0000001);
+}
+
+TEST(nothing)
+{
+    svo_error err = {0};
+    CHECK_OK(skel_radius_flann(point, weight, 0, 1, 1, got, &err));
+    CHECK_OK(skel_radius_grid(NULL, point, weight, 0, 1, 1, got, &err));
+}
