@@ -1,0 +1,375 @@
+#include "svo_bin.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svo_morton.h"
+#include "svo_raster.h"
+#include "svo_stream.h"
+#include "svo_task.h"
+
+enum { BLOCK = 8192, MAX_WORKERS = 256 }; /* triangles of a parallel block; svo_task's most workers */
+
+static int32_t snap_one(double v, double most)
+{
+    double q = 2 * floor(v * 128) + 1;
+    if (!(q >= 1)) q = 1;
+    if (q > most) q = most;
+    return (int32_t)q;
+}
+
+void svo_grid_snap(const svo_grid *g, svo_vec3 p, int32_t q[3])
+{
+    double most = (double)(((int64_t)1 << (g->depth + 8)) - 1);
+    q[0] = snap_one((p.x - g->origin[0]) / g->size, most);
+    q[1] = snap_one((p.y - g->origin[1]) / g->size, most);
+    q[2] = snap_one((p.z - g->origin[2]) / g->size, most);
+}
+
+/* --- placement ------------------------------------------------------------------------------------------------ */
+
+svo_result svo_placement_create(const svo_mesh *mesh, const svo_allocator *a, svo_placement *out, svo_error *err)
+{
+    svo_placement p = {.mesh = mesh, .allocator = a};
+    for (int pass = 0; pass < 2; pass++) {
+        uint64_t groups = 0, triangles = 0;
+        for (uint32_t i = 0; i < mesh->instance_count; i++) {
+            const svo_shape *shape = &mesh->shapes[mesh->instances[i].shape];
+            for (uint32_t k = 0; k < shape->part_count; k++) {
+                const svo_part *part = &shape->parts[k];
+                if (part->triangle_count == 0) continue;
+                if (pass == 1) p.groups[groups] = (svo_group){triangles, part, i};
+                groups++;
+                triangles += part->triangle_count;
+            }
+        }
+        /* Triangle numbers are 32 bits: a mesh that needs more is better packed as instances than voxelized in one grid. */
+        if (triangles >= UINT32_MAX || groups >= UINT32_MAX)
+            return svo_fail(err, SVO_LIMIT, "%llu placed triangles are more than one run can take (4294967294); split the input, or pack its "
+                            "instances with svo-pack", (unsigned long long)triangles);
+        p.group_count = groups;
+        p.triangle_count = triangles;
+        if (groups == 0) break;
+        if (pass == 0) {
+            p.groups = svo_alloc(a, groups, sizeof *p.groups);
+            if (p.groups == NULL)
+                return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for %llu placed parts", (unsigned long long)groups);
+        }
+    }
+    *out = p;
+    return SVO_OK;
+}
+
+void svo_placement_free(svo_placement *p)
+{
+    svo_free(p->allocator, p->groups, p->group_count, sizeof *p->groups);
+    p->groups = NULL;
+}
+
+uint32_t svo_placement_group(const svo_placement *p, uint64_t triangle)
+{
+    uint64_t low = 0, high = p->group_count; /* last group whose first <= triangle */
+    while (high - low > 1) {
+        uint64_t mid = low + (high - low) / 2;
+        if (p->groups[mid].first <= triangle) low = mid;
+        else high = mid;
+    }
+    return (uint32_t)low;
+}
+
+void svo_placement_world(const svo_placement *p, const svo_group *group, uint64_t local, svo_vec3 v[3])
+{
+    const svo_mat4 *m = &p->mesh->instances[group->instance].transform;
+    const uint32_t *index = group->part->indices + 3 * local;
+    for (int k = 0; k < 3; k++) {
+        const double *at = group->part->positions + 3 * (uint64_t)index[k];
+        v[k] = svo_mat4_point(m, svo_v3(at[0], at[1], at[2]));
+    }
+}
+
+static bool finite_triangle(const svo_vec3 v[3])
+{
+    /* 0 * x is NaN for infinities and NaNs, and sums of zeros are zero */
+    double z = 0;
+    for (int k = 0; k < 3; k++) z += v[k].x * 0 + v[k].y * 0 + v[k].z * 0;
+    return z == 0;
+}
+
+typedef struct bounds_job {
+    const svo_placement *p;
+    double low[MAX_WORKERS][3], high[MAX_WORKERS][3];
+} bounds_job;
+
+static svo_result bounds_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)err;
+    bounds_job *job = user;
+    const svo_placement *p = job->p;
+    double *low = job->low[worker], *high = job->high[worker];
+    uint64_t g = svo_placement_group(p, begin);
+    for (uint64_t t = begin; t < end; t++) {
+        while (t - p->groups[g].first >= p->groups[g].part->triangle_count) g++;
+        svo_vec3 v[3];
+        svo_placement_world(p, &p->groups[g], t - p->groups[g].first, v);
+        if (!finite_triangle(v)) continue;
+        for (int k = 0; k < 3; k++) {
+            const double c[3] = {v[k].x, v[k].y, v[k].z};
+            for (int i = 0; i < 3; i++) {
+                if (c[i] < low[i]) low[i] = c[i];
+                if (c[i] > high[i]) high[i] = c[i];
+            }
+        }
+    }
+    return SVO_OK;
+}
+
+svo_result svo_placement_bounds(const svo_placement *p, uint32_t threads, bool *any, double low[3], double high[3], svo_error *err)
+{
+    bounds_job job = {.p = p};
+    for (int w = 0; w < MAX_WORKERS; w++)
+        for (int i = 0; i < 3; i++) job.low[w][i] = INFINITY, job.high[w][i] = -INFINITY;
+    SVO_TRY(svo_parallel_for(threads, p->triangle_count, BLOCK, bounds_block, &job, err));
+    for (int i = 0; i < 3; i++) low[i] = INFINITY, high[i] = -INFINITY;
+    for (int w = 0; w < MAX_WORKERS; w++)
+        for (int i = 0; i < 3; i++) {
+            if (job.low[w][i] < low[i]) low[i] = job.low[w][i];
+            if (job.high[w][i] > high[i]) high[i] = job.high[w][i];
+        }
+    *any = low[0] <= high[0];
+    return SVO_OK;
+}
+
+/* --- the walk ------------------------------------------------------------------------------------------------- */
+
+typedef struct node {
+    uint64_t code;
+    uint64_t begin; /* its list is lists[begin .. ): the rest of the array when it is on top of the stack */
+    uint32_t level;
+} node;
+
+struct svo_bins {
+    const svo_placement *p;
+    svo_grid grid;
+    uint32_t level;
+    const svo_allocator *allocator;
+    svo_record *records; /* or NULL: snapped again at each use */
+    svo_buffer lists;    /* uint32_t triangle numbers of the nodes on the stack, bottom first */
+    svo_buffer masks;    /* scratch of a split: octants of each triangle */
+    node stack[8 * (SVO_MAX_DEPTH + 1)];
+    uint32_t height;
+};
+
+typedef struct setup_job {
+    svo_bins *b;
+    uint8_t *finite; /* a byte a triangle */
+    svo_bins_report *blocks;
+} setup_job;
+
+static svo_result setup_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    setup_job *job = user;
+    svo_bins *b = job->b;
+    const svo_placement *p = b->p;
+    svo_bins_report r = {0};
+    uint64_t g = svo_placement_group(p, begin);
+    for (uint64_t t = begin; t < end; t++) {
+        while (t - p->groups[g].first >= p->groups[g].part->triangle_count) g++;
+        svo_vec3 v[3];
+        svo_placement_world(p, &p->groups[g], t - p->groups[g].first, v);
+        job->finite[t] = finite_triangle(v);
+        if (!job->finite[t]) {
+            r.skipped++;
+            continue;
+        }
+        svo_record record;
+        record.group = (uint32_t)g;
+        for (int k = 0; k < 3; k++) {
+            svo_grid_snap(&b->grid, v[k], record.q[k]);
+            double dx = (v[k].x - b->grid.origin[0]) / b->grid.size - record.q[k][0] / 256.0;
+            double dy = (v[k].y - b->grid.origin[1]) / b->grid.size - record.q[k][1] / 256.0;
+            double dz = (v[k].z - b->grid.origin[2]) / b->grid.size - record.q[k][2] / 256.0;
+            double d = sqrt(dx * dx + dy * dy + dz * dz);
+            r.snap_sum += d;
+            if (d > r.snap_max) r.snap_max = d;
+        }
+        int64_t e[3], f[3];
+        for (int k = 0; k < 3; k++) {
+            e[k] = (int64_t)record.q[1][k] - record.q[0][k];
+            f[k] = (int64_t)record.q[2][k] - record.q[0][k];
+        }
+        r.degenerate += e[1] * f[2] == e[2] * f[1] && e[2] * f[0] == e[0] * f[2] && e[0] * f[1] == e[1] * f[0];
+        if (b->records != NULL) b->records[t] = record;
+    }
+    job->blocks[begin / BLOCK] = r;
+    return SVO_OK;
+}
+
+static svo_result no_memory(const svo_placement *p, svo_error *err)
+{
+    return svo_fail(err, SVO_OUT_OF_MEMORY, "the working memory for %llu triangles (about %llu MB) cannot be had", (unsigned long long)p->triangle_count,
+                    (unsigned long long)(p->triangle_count * 10 / 1000000 + 1));
+}
+
+svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t level, uint64_t keep_bytes, uint32_t threads,
+                           const svo_allocator *a, svo_bins **out, svo_bins_report *report, svo_error *err)
+{
+    svo_bins *b = svo_calloc(a, 1, sizeof *b);
+    if (b == NULL) return no_memory(p, err);
+    uint64_t n = p->triangle_count, blocks = (n + BLOCK - 1) / BLOCK;
+    b->p = p;
+    b->grid = *g;
+    b->level = level;
+    b->allocator = a;
+    svo_buffer_init(&b->lists, a);
+    svo_buffer_init(&b->masks, a);
+    memset(report, 0, sizeof *report);
+    if (n == 0) {
+        *out = b;
+        return SVO_OK;
+    }
+    if (n <= keep_bytes / sizeof(svo_record)) b->records = svo_alloc(a, n, sizeof *b->records);
+    setup_job job = {.b = b};
+    job.finite = svo_alloc(a, n, 1);
+    job.blocks = svo_calloc(a, blocks, sizeof *job.blocks);
+    svo_result r = SVO_OK;
+    if (job.finite == NULL || job.blocks == NULL) r = no_memory(p, err);
+    if (r == SVO_OK) r = svo_parallel_for(threads, n, BLOCK, setup_block, &job, err);
+    if (r == SVO_OK) {
+        for (uint64_t i = 0; i < blocks; i++) { /* in order, so that the sum does not depend on threads */
+            report->skipped += job.blocks[i].skipped;
+            report->degenerate += job.blocks[i].degenerate;
+            report->snap_sum += job.blocks[i].snap_sum;
+            if (job.blocks[i].snap_max > report->snap_max) report->snap_max = job.blocks[i].snap_max;
+        }
+        if (!svo_buffer_reserve(&b->lists, (n - report->skipped) * 4)) r = no_memory(p, err);
+    }
+    if (r == SVO_OK) {
+        uint32_t *list = (uint32_t *)(void *)b->lists.data;
+        uint64_t count = 0;
+        for (uint64_t t = 0; t < n; t++)
+            if (job.finite[t]) list[count++] = (uint32_t)t;
+        b->lists.size = count * 4;
+        if (count != 0) b->stack[b->height++] = (node){0, 0, 0};
+    }
+    svo_free(a, job.finite, n, 1);
+    svo_free(a, job.blocks, blocks, sizeof *job.blocks);
+    if (r != SVO_OK) {
+        svo_bins_free(b);
+        return r;
+    }
+    *out = b;
+    return SVO_OK;
+}
+
+void svo_bins_free(svo_bins *b)
+{
+    if (b == NULL) return;
+    svo_free(b->allocator, b->records, b->p->triangle_count, sizeof *b->records);
+    svo_buffer_free(&b->lists);
+    svo_buffer_free(&b->masks);
+    svo_free(b->allocator, b, 1, sizeof *b);
+}
+
+void svo_bins_record(const svo_bins *b, uint32_t triangle, svo_record *out)
+{
+    if (b->records != NULL) {
+        *out = b->records[triangle];
+        return;
+    }
+    svo_vec3 v[3];
+    out->group = svo_placement_group(b->p, triangle);
+    const svo_group *group = &b->p->groups[out->group];
+    svo_placement_world(b->p, group, triangle - group->first, v);
+    for (int k = 0; k < 3; k++) svo_grid_snap(&b->grid, v[k], out->q[k]);
+}
+
+/* Octants of a node (low corner `corner`, children of size `size`, lattice units) that a triangle may meet. */
+static uint8_t octants(const int32_t q[3][3], const int32_t corner[3], int32_t size)
+{
+    /* by axis and half: the octants on that side */
+    static const uint8_t below[3] = {0x55, 0x33, 0x0f}, above[3] = {0xaa, 0xcc, 0xf0};
+    uint8_t mask = 0xff;
+    int32_t extent = 0;
+    for (int k = 0; k < 3; k++) {
+        int32_t a = q[0][k], b = q[1][k], c = q[2][k];
+        int32_t low = a < b ? a : b, high = a < b ? b : a;
+        if (c < low) low = c;
+        if (c > high) high = c;
+        /* vertices are odd, planes between nodes even: never equal */
+        int32_t middle = corner[k] + size;
+        if (low > middle) mask &= above[k];
+        if (high < middle) mask &= below[k];
+        if (high - low > extent) extent = high - low;
+    }
+    if ((mask & (mask - 1)) == 0 || extent < size / 4) return mask;
+    /* A large triangle: without this test it would reach 8^k nodes instead of about 4^k. */
+    for (uint32_t i = 0; i < 8; i++) {
+        if (!(mask >> i & 1)) continue;
+        int32_t lo[3], hi[3];
+        for (uint32_t k = 0; k < 3; k++) {
+            lo[k] = corner[k] + (i >> k & 1 ? size : 0);
+            hi[k] = lo[k] + size;
+        }
+        if (!svo_raster_box(q, lo, hi)) mask &= (uint8_t)~(1u << i);
+    }
+    return mask;
+}
+
+/* Replace the list on top by the lists of its children, child 0 on top. */
+static bool split(svo_bins *b, node n)
+{
+    uint64_t count = b->lists.size / 4 - n.begin;
+    b->masks.size = 0;
+    if (!svo_buffer_reserve(&b->masks, count)) return false;
+    uint32_t x, y, z;
+    svo_morton_decode(n.code, &x, &y, &z);
+    int32_t size = (int32_t)1 << (b->grid.depth + 8 - n.level - 1);
+    int32_t corner[3] = {(int32_t)x * 2 * size, (int32_t)y * 2 * size, (int32_t)z * 2 * size};
+    const uint32_t *list = (const uint32_t *)(const void *)b->lists.data + n.begin;
+    uint64_t children[8] = {0};
+    for (uint64_t i = 0; i < count; i++) {
+        uint8_t mask;
+        if (b->records != NULL) {
+            mask = octants(b->records[list[i]].q, corner, size);
+        } else {
+            svo_record r;
+            svo_bins_record(b, list[i], &r);
+            mask = octants(r.q, corner, size);
+        }
+        b->masks.data[i] = mask;
+        for (uint32_t c = 0; c < 8; c++) children[c] += mask >> c & 1;
+    }
+    uint64_t total = 0, at[8];
+    for (uint32_t c = 8; c-- > 0;) {
+        at[c] = total;
+        if (children[c] != 0) b->stack[b->height++] = (node){n.code * 8 + c, n.begin + total, n.level + 1};
+        total += children[c];
+    }
+    if (!svo_buffer_reserve(&b->lists, total * 4)) return false;
+    uint32_t *old = (uint32_t *)(void *)b->lists.data + n.begin, *fresh = old + count;
+    for (uint64_t i = 0; i < count; i++)
+        for (uint32_t mask = b->masks.data[i]; mask != 0; mask &= mask - 1) fresh[at[__builtin_ctz(mask)]++] = old[i];
+    memmove(old, fresh, total * 4);
+    b->lists.size = (n.begin + total) * 4;
+    return true;
+}
+
+svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err)
+{
+    while (b->height != 0) {
+        node n = b->stack[--b->height];
+        if (n.level < b->level) {
+            if (!split(b, n)) return no_memory(b->p, err);
+            continue;
+        }
+        list->size = 0;
+        if (svo_buffer_append(list, b->lists.data + n.begin * 4, b->lists.size - n.begin * 4) == NULL) return no_memory(b->p, err);
+        b->lists.size = n.begin * 4;
+        *code = n.code;
+        *more = true;
+        return SVO_OK;
+    }
+    *more = false;
+    return SVO_OK;
+}

@@ -1,0 +1,161 @@
+/* svo_voxelize_plan: where the grid lies, how deep it is, and which channels say something. */
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "svo_bin.h"
+#include "svo_voxelize.h"
+
+svo_voxelize_options svo_default_voxelize_options(void)
+{
+    svo_voxelize_options o = {.depth = 10, .surface = SVO_SURFACE_CONSERVATIVE, .fill = SVO_FILL_SURFACE, .channels = SVO_WANT_AUTO};
+    return o;
+}
+
+/* Beyond these the determinant of voxel_to_world or its products leave the range of doubles. */
+static const double least_size = 1e-90, most_extent = 1e90;
+
+static svo_result grid_by_depth(const double low[3], const double high[3], uint32_t depth, svo_grid *g, svo_error *err)
+{
+    double extent = 0;
+    for (int i = 0; i < 3; i++) {
+        if (high[i] - low[i] > extent) extent = high[i] - low[i];
+        g->origin[i] = low[i];
+    }
+    if (!(extent < most_extent)) return svo_fail(err, SVO_LIMIT, "the mesh is %g units long; at most %g can be voxelized", extent, most_extent);
+    g->depth = depth;
+    g->size = ldexp(extent > 0 ? extent : 1, -(int)depth);
+    if (g->size < least_size) g->size = least_size;
+    return SVO_OK;
+}
+
+static svo_result grid_by_size(const double low[3], const double high[3], double size, svo_grid *g, svo_error *err)
+{
+    if (!(size >= least_size) || !(size < most_extent))
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "a voxel size of %g is outside of %g to %g", size, least_size, most_extent);
+    double cells = 1;
+    for (int i = 0; i < 3; i++) {
+        g->origin[i] = floor(low[i] / size) * size;
+        if (g->origin[i] > low[i]) g->origin[i] -= size; /* rounding of the product */
+        double n = floor((high[i] - g->origin[i]) / size) + 1;
+        if (!isfinite(g->origin[i]) || !isfinite(n)) n = INFINITY;
+        if (n > cells) cells = n;
+    }
+    uint32_t depth = 0;
+    while (depth < SVO_MAX_DEPTH && ldexp(1, (int)depth) < cells) depth++;
+    if (ldexp(1, (int)depth) < cells)
+        return svo_fail(err, SVO_LIMIT, "voxels of size %g need %.3g cells along one side; at most 2^%u = %u are possible: use a voxel size of %g or more",
+                        size, cells, SVO_MAX_DEPTH, 1u << SVO_MAX_DEPTH, size * (cells / ldexp(1, (int)SVO_MAX_DEPTH)) * 1.000001);
+    g->depth = depth;
+    g->size = size;
+    return SVO_OK;
+}
+
+/* What the materials in use say about one channel. */
+typedef struct uses { bool varies, first_seen; float value[3]; } uses;
+
+static void use(uses *u, const float *value, int count, bool varies)
+{
+    if (varies) u->varies = true;
+    if (!u->first_seen) {
+        u->first_seen = true;
+        memcpy(u->value, value, (size_t)count * sizeof *value);
+    } else if (memcmp(u->value, value, (size_t)count * sizeof *value) != 0) {
+        u->varies = true;
+    }
+}
+
+static bool textured(const svo_mesh *mesh, const svo_texture *t) { return t->image != SVO_NONE && t->image < mesh->image_count; }
+
+static svo_channel *add_channel(svo_tree_info *info, const char *name, svo_channel_kind kind)
+{
+    svo_channel *c = &info->channels[info->channel_count++];
+    memset(c, 0, sizeof *c);
+    snprintf(c->name, sizeof c->name, "%s", name);
+    c->kind = kind;
+    return c;
+}
+
+static uint8_t unorm8(float v) { return v > 0 ? v < 1 ? (uint8_t)(v * 255 + 0.5f) : 255 : 0; }
+
+/* Channels in a fixed order; those in which every voxel would get the same value are constant. */
+static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool any, svo_tree_info *info, svo_error *err)
+{
+    const svo_mesh *mesh = p->mesh;
+    uses color = {0}, emissive = {0}, metallic = {0}, roughness = {0}, material = {0};
+    for (uint64_t g = 0; any && g < p->group_count; g++) {
+        const svo_part *part = p->groups[g].part;
+        bool named = part->material < mesh->material_count;
+        svo_material m = named ? mesh->materials[part->material] : svo_material_default();
+        float id = named ? (float)part->material : -1;
+        float glow[3];
+        for (int i = 0; i < 3; i++) glow[i] = m.emissive[i] > 0 ? m.emissive[i] < 1 ? m.emissive[i] : 1 : 0;
+        bool glows = glow[0] > 0 || glow[1] > 0 || glow[2] > 0, mr = textured(mesh, &m.metallic_roughness_texture);
+        use(&color, m.base_color, 3, textured(mesh, &m.base_color_texture) || part->colors != NULL);
+        use(&emissive, glow, 3, glows && textured(mesh, &m.emissive_texture));
+        use(&metallic, &m.metallic, 1, mr && m.metallic > 0);
+        use(&roughness, &m.roughness, 1, mr && m.roughness > 0);
+        use(&material, &id, 1, false);
+        if (named && part->material >= UINT16_MAX && wanted & SVO_WANT_MATERIAL)
+            return svo_fail(err, SVO_LIMIT, "the material channel holds at most %u materials", UINT16_MAX);
+    }
+    if (!any) color.value[0] = color.value[1] = color.value[2] = 1, roughness.value[0] = 1;
+    bool automatic = (wanted & SVO_WANT_AUTO) != 0 && any;
+    if (wanted & SVO_WANT_COLOR || (automatic && (color.varies || color.value[0] != 1 || color.value[1] != 1 || color.value[2] != 1))) {
+        svo_channel *c = add_channel(info, "color", SVO_KIND_COLOR_SRGB8);
+        c->constant = !color.varies;
+        for (int i = 0; i < 3 && c->constant; i++) c->value[i] = svo_linear_to_srgb(color.value[i]);
+    }
+    if (wanted & SVO_WANT_NORMAL || automatic) add_channel(info, "normal", SVO_KIND_NORMAL_OCT32);
+    if (wanted & SVO_WANT_EMISSIVE || (automatic && (emissive.varies || emissive.value[0] > 0 || emissive.value[1] > 0 || emissive.value[2] > 0))) {
+        svo_channel *c = add_channel(info, "emissive", SVO_KIND_COLOR_SRGB8);
+        c->constant = !emissive.varies;
+        for (int i = 0; i < 3 && c->constant; i++) c->value[i] = svo_linear_to_srgb(emissive.value[i]);
+    }
+    if (wanted & SVO_WANT_METALLIC || (automatic && (metallic.varies || metallic.value[0] != 0))) {
+        svo_channel *c = add_channel(info, "metallic", SVO_KIND_UNORM8);
+        c->constant = !metallic.varies;
+        if (c->constant) c->value[0] = unorm8(metallic.value[0]);
+    }
+    if (wanted & SVO_WANT_ROUGHNESS || (automatic && (roughness.varies || roughness.value[0] != 1))) {
+        svo_channel *c = add_channel(info, "roughness", SVO_KIND_UNORM8);
+        c->constant = !roughness.varies;
+        if (c->constant) c->value[0] = unorm8(roughness.value[0]);
+    }
+    if (wanted & SVO_WANT_MATERIAL) {
+        svo_channel *c = add_channel(info, "material", SVO_KIND_ID16);
+        c->constant = !material.varies;
+        uint32_t id = material.value[0] >= 0 && material.first_seen ? (uint32_t)material.value[0] : UINT16_MAX;
+        if (c->constant) c->value[0] = (uint8_t)id, c->value[1] = (uint8_t)(id >> 8);
+    }
+    return SVO_OK;
+}
+
+svo_result svo_voxelize_plan(const svo_mesh *mesh, const svo_voxelize_options *options, svo_tree_info *info, svo_error *err)
+{
+    if (options->depth > SVO_MAX_DEPTH) return svo_fail(err, SVO_LIMIT, "a depth of %u is more than %u", options->depth, SVO_MAX_DEPTH);
+    if (options->fill == SVO_FILL_SOLID) return svo_fail(err, SVO_UNSUPPORTED, "--fill solid is not available; only the surface can be voxelized");
+    svo_placement p;
+    SVO_TRY(svo_placement_create(mesh, options->allocator, &p, err));
+    double low[3], high[3];
+    bool any = false;
+    svo_result r = svo_placement_bounds(&p, options->threads, &any, low, high, err);
+    svo_grid g = {.size = ldexp(1, -(int)options->depth), .depth = options->depth};
+    if (r == SVO_OK && options->voxel_size != 0) {
+        if (!any) low[0] = low[1] = low[2] = high[0] = high[1] = high[2] = 0;
+        r = grid_by_size(low, high, options->voxel_size, &g, err);
+    } else if (r == SVO_OK && any) {
+        r = grid_by_depth(low, high, options->depth, &g, err);
+    }
+    svo_tree_info planned = {.depth = g.depth, .surface = options->surface, .fill = options->fill};
+    for (int i = 0; i < 3; i++) {
+        planned.voxel_to_world[5 * i] = g.size;
+        planned.voxel_to_world[4 * i + 3] = g.origin[i];
+    }
+    planned.voxel_to_world[15] = 1;
+    if (r == SVO_OK) r = plan_channels(&p, options->channels, any, &planned, err);
+    svo_placement_free(&p);
+    if (r == SVO_OK) *info = planned;
+    return r;
+}

@@ -1,0 +1,77 @@
+/* Attributes of voxels: what each triangle contributes to each voxel that it meets, and their averages.
+ *
+ * A contribution is taken over the part of the triangle inside the voxel (clipped in double precision, positions before
+ * the snap): its area is the weight, its centroid is where vertex values are read, and textures are averaged over it. Sums
+ * are 64-bit integers, so that the result does not depend on the order of triangles. */
+#ifndef SVO_SHADE_H
+#define SVO_SHADE_H
+
+#include "svo_bin.h"
+#include "svo_stream.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Which channels an info asks for, where in it (SVO_MAX_CHANNELS: not there or constant), and where their sums are. */
+typedef struct svo_shade_layout {
+    uint32_t color, normal, emissive, metallic, roughness, material; /* channel numbers */
+    uint32_t fields; /* 64-bit sums a voxel */
+    uint32_t sum_weight, sum_color, sum_normal, sum_emissive, sum_metallic, sum_roughness;
+} svo_shade_layout;
+
+/* Shared by all workers, read-only after creation. */
+typedef struct svo_shader svo_shader;
+svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const svo_tree_info *info, uint32_t threads,
+                             const svo_allocator *a, svo_shader **out, svo_error *err);
+void svo_shader_free(svo_shader *s);
+const svo_shade_layout *svo_shader_layout(const svo_shader *s);
+
+/* A triangle ready to be clipped: corners in voxels relative to a block's corner. */
+typedef struct svo_facet {
+    double corner[3][3];
+    double normal[3];   /* of the face, grid axes (= world axes), not unit */
+    double length;      /* of normal = twice the area in voxels */
+    uint32_t axis;      /* dominant axis of normal */
+    const svo_part *part;
+    uint32_t vertex[3];
+    uint32_t instance;
+    uint32_t material; /* SVO_NONE: default */
+    bool flat;         /* every point of it has the same values */
+    bool masks;        /* alpha MASK with something to test */
+} svo_facet;
+
+/* `block` is the low corner of the block, in voxels. */
+void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], svo_facet *out);
+/* The same without geometry: only flat and masks are meaningful. */
+bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool *masks);
+
+/* A convex polygon. */
+typedef struct svo_polygon { uint32_t count; double at[10][3]; } svo_polygon;
+/* The part of `in` with low <= coordinate <= low + 1. */
+void svo_polygon_slab(const svo_polygon *in, uint32_t axis, double low, svo_polygon *out);
+
+/* What one triangle puts into one voxel. Colours are 0..65535 linear, normals -32767..32767 */
+typedef struct svo_contribution {
+    uint64_t weight, color_weight; /* area in units of 2^-shift voxel faces, at least 1 */
+    uint16_t color[3], emissive[3], metallic, roughness;
+    int32_t normal[3];
+} svo_contribution;
+
+/* Polygon: the triangle clipped to the voxel at cell[3] (block-relative); may be empty or thin, then the nearest point counts.
+ * False when alpha MASK leaves nothing of it. */
+bool svo_facet_contribution(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
+                              svo_contribution *out);
+/* The weight alone, 0 when alpha MASK leaves nothing of it. */
+uint64_t svo_facet_weight(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift);
+/* Only the question of MASK. */
+bool svo_facet_visible(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3]);
+
+/* Add to `sums` (layout fields), and turn sums into channel values: values[channel] receives the bytes. */
+void svo_shade_add(const svo_shade_layout *l, const svo_contribution *c, uint64_t *sums);
+void svo_shade_value(const svo_shade_layout *l, const uint64_t *sums, uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE]);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,174 @@
+#include "svo_texture.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svo_channel.h"
+
+static inline void texel(const svo_pyramid *p, uint32_t level, uint32_t x, uint32_t y, float out[4])
+{
+    if (level != 0) {
+        const uint16_t *t = p->texels[level] + 4 * ((uint64_t)y * p->width[level] + x);
+        for (int i = 0; i < 4; i++) out[i] = t[i] * (1.0f / 65535);
+        return;
+    }
+    const uint8_t *t = p->image->pixels + 4 * ((uint64_t)y * p->width[0] + x);
+    if (p->kind == SVO_TEXEL_LINEAR) {
+        for (int i = 0; i < 4; i++) out[i] = t[i] * (1.0f / 255);
+        return;
+    }
+    float alpha = p->kind == SVO_TEXEL_COLOR_ALPHA ? t[3] * (1.0f / 255) : 1;
+    for (int i = 0; i < 3; i++) out[i] = svo_srgb_to_linear(t[i]) * alpha;
+    out[3] = alpha;
+}
+
+/* One level from the one above it: box filter with exact overlaps. Texel i of m covers [i n / m, (i + 1) n / m) of n. */
+static void average_level(svo_pyramid *p, uint32_t to)
+{
+    uint32_t from = to - 1, n[2] = {p->width[from], p->height[from]}, m[2] = {p->width[to], p->height[to]};
+    for (uint32_t y = 0; y < m[1]; y++)
+        for (uint32_t x = 0; x < m[0]; x++) {
+            double sum[4] = {0, 0, 0, 0};
+            uint8_t most = 0;
+            /* in units of 1/m of a source texel, so that all overlaps are integers */
+            uint64_t y0 = (uint64_t)y * n[1], y1 = y0 + n[1], x0 = (uint64_t)x * n[0], x1 = x0 + n[0];
+            for (uint64_t j = y0 / m[1]; j * m[1] < y1; j++) {
+                uint64_t a = j * m[1] > y0 ? j * m[1] : y0, b = (j + 1) * m[1] < y1 ? (j + 1) * m[1] : y1;
+                for (uint64_t i = x0 / m[0]; i * m[0] < x1; i++) {
+                    uint64_t c = i * m[0] > x0 ? i * m[0] : x0, d = (i + 1) * m[0] < x1 ? (i + 1) * m[0] : x1;
+                    float t[4];
+                    texel(p, from, (uint32_t)i, (uint32_t)j, t);
+                    double weight = (double)((b - a) * (d - c));
+                    for (int k = 0; k < 4; k++) sum[k] += weight * t[k];
+                    if (p->most[to] != NULL) {
+                        uint64_t at = j * n[0] + i;
+                        uint8_t alpha = from == 0 ? p->image->pixels[4 * at + 3] : p->most[from][at];
+                        if (alpha > most) most = alpha;
+                    }
+                }
+            }
+            uint64_t at = (uint64_t)y * m[0] + x;
+            double area = (double)((uint64_t)n[0] * n[1]);
+            for (int k = 0; k < 4; k++) p->texels[to][4 * at + (uint64_t)k] = (uint16_t)(sum[k] / area * 65535 + 0.5);
+            if (p->most[to] != NULL) p->most[to][at] = most;
+        }
+}
+
+svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err)
+{
+    svo_pyramid p = {.image = image, .kind = kind, .allocator = a, .levels = 1};
+    p.width[0] = image->width;
+    p.height[0] = image->height;
+    while (p.width[p.levels - 1] > 1 || p.height[p.levels - 1] > 1) {
+        uint32_t l = p.levels++;
+        p.width[l] = p.width[l - 1] > 1 ? p.width[l - 1] / 2 : 1;
+        p.height[l] = p.height[l - 1] > 1 ? p.height[l - 1] / 2 : 1;
+        uint64_t count = (uint64_t)p.width[l] * p.height[l];
+        p.texels[l] = svo_alloc(a, count, 8);
+        if (kind == SVO_TEXEL_COLOR_ALPHA) p.most[l] = svo_alloc(a, count, 1);
+        if (p.texels[l] == NULL || (kind == SVO_TEXEL_COLOR_ALPHA && p.most[l] == NULL)) {
+            svo_pyramid_free(&p);
+            return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the filtered levels of a %u x %u texture", image->width, image->height);
+        }
+        average_level(&p, l);
+    }
+    *out = p;
+    return SVO_OK;
+}
+
+void svo_pyramid_free(svo_pyramid *p)
+{
+    if (p == NULL) return;
+    for (uint32_t l = 1; l < p->levels; l++) {
+        uint64_t count = (uint64_t)p->width[l] * p->height[l];
+        svo_free(p->allocator, p->texels[l], count, 8);
+        svo_free(p->allocator, p->most[l], count, 1);
+        p->texels[l] = NULL;
+        p->most[l] = NULL;
+    }
+    p->levels = 0;
+}
+
+/* Texel number of an integer position that may lie outside. |i| < 2^53. */
+static inline uint32_t wrap(double i, uint32_t n, svo_wrap mode)
+{
+    if (i >= 0 && i < n) return (uint32_t)i;
+    if (mode == SVO_WRAP_CLAMP) return i < 0 ? 0 : n - 1;
+    double period = mode == SVO_WRAP_MIRROR ? 2.0 * n : n;
+    double k = i - floor(i / period) * period; /* exact: integers below 2^53 */
+    if (k >= period) k = 0;
+    if (k < 0) k = 0;
+    return k < n ? (uint32_t)k : (uint32_t)(2.0 * n - 1 - k);
+}
+
+/* Texture coordinates that are absurdly large have no fraction bits left; keep their arithmetic in range. */
+static inline double sane(double t) { return t > -1e9 && t < 1e9 ? t : 0; }
+
+static void bilinear(const svo_pyramid *p, const svo_texture *how, uint32_t level, double u, double v, float out[4])
+{
+    double x = u * p->width[level] - 0.5, y = v * p->height[level] - 0.5;
+    double fx = floor(x), fy = floor(y);
+    uint32_t x0 = wrap(fx, p->width[level], how->wrap_u), x1 = wrap(fx + 1, p->width[level], how->wrap_u);
+    uint32_t y0 = wrap(fy, p->height[level], how->wrap_v), y1 = wrap(fy + 1, p->height[level], how->wrap_v);
+    float a[4], b[4], c[4], d[4], s = (float)(x - fx), t = (float)(y - fy);
+    texel(p, level, x0, y0, a);
+    texel(p, level, x1, y0, b);
+    texel(p, level, x0, y1, c);
+    texel(p, level, x1, y1, d);
+    for (int i = 0; i < 4; i++) {
+        float top = a[i] + (b[i] - a[i]) * s, bottom = c[i] + (d[i] - c[i]) * s;
+        out[i] = top + (bottom - top) * t;
+    }
+}
+
+void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, double v, double level, float out[4])
+{
+    u = sane(u);
+    v = sane(v);
+    if (!(level > 0)) {
+        if (how->nearest)
+            texel(p, 0, wrap(floor(u * p->width[0]), p->width[0], how->wrap_u), wrap(floor(v * p->height[0]), p->height[0], how->wrap_v), out);
+        else
+            bilinear(p, how, 0, u, v, out);
+        return;
+    }
+    uint32_t last = p->levels - 1;
+    if (level >= last) {
+        bilinear(p, how, last, u, v, out);
+        return;
+    }
+    uint32_t l = (uint32_t)level;
+    float t = (float)(level - l), fine[4], coarse[4];
+    bilinear(p, how, l, u, v, fine);
+    bilinear(p, how, l + 1, u, v, coarse);
+    for (int i = 0; i < 4; i++) out[i] = fine[i] + (coarse[i] - fine[i]) * t;
+}
+
+float svo_pyramid_most_alpha(const svo_pyramid *p, const svo_texture *how, double u0, double u1, double v0, double v1)
+{
+    u0 = sane(u0), u1 = sane(u1), v0 = sane(v0), v1 = sane(v1);
+    /* A range of a whole period and more is the whole image; texels of other ranges are counted from its start. */
+    double x0 = floor(u0 * p->width[0]), x1 = floor(u1 * p->width[0]), y0 = floor(v0 * p->height[0]), y1 = floor(v1 * p->height[0]);
+    uint32_t level = 0;
+    while (level + 1 < p->levels && (x1 - x0 > 3 || y1 - y0 > 3)) {
+        /* texel x of n is inside texel floor(x m / n) of the next level's m, also across the wrapped copies */
+        double sx = p->width[level], sy = p->height[level];
+        level++;
+        sx = p->width[level] / sx, sy = p->height[level] / sy;
+        x0 = floor(x0 * sx), x1 = floor(x1 * sx);
+        y0 = floor(y0 * sy), y1 = floor(y1 * sy);
+    }
+    /* rounding of the products above may lose a texel at an edge: widen coarse levels by one */
+    if (level != 0) x0--, x1++, y0--, y1++;
+    uint32_t w = p->width[level], h = p->height[level];
+    if (x1 - x0 >= w) x0 = 0, x1 = w - 1;
+    if (y1 - y0 >= h) y0 = 0, y1 = h - 1;
+    uint8_t most = 0;
+    for (double y = y0; y <= y1; y++)
+        for (double x = x0; x <= x1; x++) {
+            uint64_t at = (uint64_t)wrap(y, h, how->wrap_v) * w + wrap(x, w, how->wrap_u);
+            uint8_t a = level == 0 ? p->image->pixels[4 * at + 3] : p->most[level][at];
+            if (a > most) most = a;
+        }
+    return most * (1.0f / 255);
+}

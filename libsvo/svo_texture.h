@@ -1,0 +1,47 @@
+/* Filtered texture reading: averages over footprints in linear light. */
+#ifndef SVO_TEXTURE_H
+#define SVO_TEXTURE_H
+
+#include "svo_alloc.h"
+#include "svo_mesh.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* How the numbers of an image are meant. */
+typedef enum svo_texel {
+    SVO_TEXEL_COLOR = 0,         /* sRGB colour, alpha ignored (reads as 1) */
+    SVO_TEXEL_COLOR_ALPHA = 1,   /* sRGB colour weighted by alpha, so that hidden texels do not bleed; linear alpha */
+    SVO_TEXEL_LINEAR = 2         /* four linear numbers */
+} svo_texel;
+
+/* An image with its mip levels. Level 0 is the image itself; a texel of level l+1 is the exact area average of the texels
+ * below it (sizes are halved and rounded down, so parts of texels count as parts), kept as 16-bit linear numbers.
+ * For COLOR_ALPHA there is also the largest alpha below each texel. Read-only after creation. */
+typedef struct svo_pyramid {
+    const svo_image *image;
+    svo_texel kind;
+    uint32_t levels;
+    uint32_t width[32], height[32];
+    uint16_t *texels[32]; /* 4 a texel; [0] is NULL; COLOR_ALPHA: premultiplied */
+    uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
+    const svo_allocator *allocator;
+} svo_pyramid;
+
+/* The image is borrowed. SVO_OUT_OF_MEMORY. */
+svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err);
+void svo_pyramid_free(svo_pyramid *p);
+
+/* Bilinear in the level, linear between levels; level <= 0 is the image itself, read to the nearest texel where the
+ * texture says so. u, v as in svo_mesh.h (wrapped here; not finite reads as 0). out: linear RGBA, colours premultiplied for COLOR_ALPHA. */
+void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, double v, double level, float out[4]);
+
+/* An upper bound of alpha over the texels that [u0, u1] x [v0, v1] touches (nearest texels, no filter), exact when that
+ * is at most 4 x 4 texels. COLOR_ALPHA only. */
+float svo_pyramid_most_alpha(const svo_pyramid *p, const svo_texture *how, double u0, double u1, double v0, double v1);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
