@@ -68,7 +68,7 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
     decoder fn = sniff(bytes, size, &name);
     if (fn == NULL && name != NULL)
         return svo_fail(err, SVO_UNSUPPORTED, "%s images are not supported; PNG, JPEG, BMP and TGA are", name);
-    if (fn == NULL) return svo_fail(err, SVO_UNSUPPORTED, "not an image of a known format (PNG, JPEG, BMP and TGA are supported)");
+    if (fn == NULL) return svo_fail(err, SVO_INVALID_DATA, "not an image of a known format (PNG, JPEG, BMP and TGA are read)");
     svo_image image = {0};
     svo_result r = fn(bytes, size, max_pixels != 0 ? max_pixels : DEFAULT_MAX_PIXELS, a, &image, err);
     if (r != SVO_OK) {

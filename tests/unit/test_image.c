@@ -403,7 +403,7 @@ TEST(other_formats_are_refused_by_name)
     refused("\xabKTX 20\xbb\r\n\x1a\n....", 16, SVO_UNSUPPORTED, "KTX2");
     refused("DDS |...", 8, SVO_UNSUPPORTED, "DDS");
     refused("GIF89a..", 8, SVO_UNSUPPORTED, "GIF");
-    refused("hello, this is not an image at all", 34, SVO_UNSUPPORTED, "PNG, JPEG");
+    refused("hello, this is not an image at all", 34, SVO_INVALID_DATA, "PNG, JPEG");
     refused("", 0, SVO_INVALID_DATA, "empty");
     svo_buffer file;
     svo_buffer_init(&file, NULL);
