@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "fmt_utf8.h"
 #include "svo_mesh.h"
 #include "svo_text.h"
 
@@ -42,18 +43,26 @@ static uint64_t line_at(const parser *p, uint64_t at)
     return line;
 }
 
+/* Messages quote bytes of the file, which may be anything, and may cut a character in two. */
+static svo_result refuse(parser *p, svo_result result, uint64_t at)
+{
+    if (p->err != NULL) {
+        fmt_utf8_repair(p->err->message);
+        p->err->offset = at;
+    }
+    return result;
+}
+
 static svo_result syntax(parser *p, const char *expected)
 {
     svo_fail(p->err, SVO_INVALID_DATA, "line %llu: %s", (unsigned long long)line_at(p, p->at), expected);
-    if (p->err != NULL) p->err->offset = p->at;
-    return SVO_INVALID_DATA;
+    return refuse(p, SVO_INVALID_DATA, p->at);
 }
 
 static svo_result wrong(parser *p, const char *key, const char *what)
 {
     svo_fail(p->err, SVO_INVALID_DATA, "%s%s%.64s: %s", p->where, p->where[0] != 0 && key[0] != 0 ? "." : "", key, what);
-    if (p->err != NULL) p->err->offset = p->at;
-    return SVO_INVALID_DATA;
+    return refuse(p, SVO_INVALID_DATA, p->at);
 }
 
 static svo_result no_memory(parser *p) { return svo_fail(p->err, SVO_OUT_OF_MEMORY, "no memory for the scene description"); }
@@ -90,8 +99,7 @@ static svo_result load_object(parser *p, json_t **out)
     if (cut && json_error_code(&e) == json_error_premature_end_of_input) return wrong(p, "", "is longer than 64 KiB");
     unsigned long long line = (unsigned long long)(line_at(p, p->at) + (e.line > 0 ? (uint64_t)e.line - 1 : 0));
     svo_fail(p->err, SVO_INVALID_DATA, "line %llu: %s: %s", line, p->where, e.text);
-    if (p->err != NULL) p->err->offset = p->at + (e.position > 0 ? (uint64_t)e.position : 0);
-    return SVO_INVALID_DATA;
+    return refuse(p, SVO_INVALID_DATA, p->at + (e.position > 0 ? (uint64_t)e.position : 0));
 }
 
 /* A key of the outer object. They are plain words, so escapes need no decoding: a key with one is unknown. */
