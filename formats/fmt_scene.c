@@ -27,11 +27,12 @@ _Static_assert(sizeof(svo_scene_page) == 88 && offsetof(svo_scene_page, high) ==
                    offsetof(svo_scene_page, first) == 72 && offsetof(svo_scene_page, count) == 80,
                "svo_scene_page must lie in memory as PAGE elements do");
 
+/* "IXFM 5: what (SCN-07)": element 5 of the array in chunk IXFM. */
 static svo_result bad(svo_error *err, svo_result code, uint32_t chunk, uint64_t index, const char *rule, const char *what)
 {
     char name[5];
     fmt_fourcc_text(chunk, name);
-    svo_fail(err, code, "%s: %s (element %llu, rule %s)", name, what, (unsigned long long)index, rule);
+    svo_fail(err, code, "%s %llu: %s (%s)", name, (unsigned long long)index, what, rule);
     if (err != NULL) err->chunk = chunk, err->index = index;
     return code;
 }

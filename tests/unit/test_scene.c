@@ -414,3 +414,137 @@ TEST(packing_survives_failing_allocations)
     }
     world_free(&w);
 }
+
+/* ---- files ---- */
+
+static void write_world(const world *w, const svo_pack_options *o, const char *provenance, svo_buffer *file, fmt_scene_bytes *bytes)
+{
+    svo_packed_scene *packed;
+    fmt_output *out;
+    CHECK_OK(svo_pack(&w->input, o, &packed, &err));
+    CHECK_OK(fmt_output_open_memory(file, &out, &err));
+    CHECK_OK(fmt_scene_write(out, svo_packed_scene_get(packed), provenance, NULL, bytes, NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    svo_packed_scene_free(packed);
+}
+
+TEST(a_file_gives_back_the_scene)
+{
+    for (int camera = 0; camera < 2; camera++) {
+        world w;
+        world_make(&w, 700, 50, 21);
+        if (camera) w.input.has_camera = true, w.input.camera_transform = svo_mat4_trs((double[3]){1, 2, 3}, (double[4]){0, 0, 1, 1}, (double[3]){1, 1, 1}), w.input.camera_yfov = 0.7;
+        svo_pack_options o = {.page_instances = 64};
+        svo_buffer file, again;
+        svo_buffer_init(&file, NULL);
+        svo_buffer_init(&again, NULL);
+        fmt_scene_bytes bytes;
+        write_world(&w, &o, "{\"tool\":\"test\"}", &file, &bytes);
+        if (test_failed()) return;
+        CHECK_U64(bytes.assets + bytes.instances + bytes.pages + bytes.names + bytes.rest, file.size);
+        fmt_scene f;
+        svo_packed_scene *packed;
+        CHECK_OK(fmt_scene_open(file.data, file.size, NULL, &f, &err));
+        CHECK_OK(svo_pack(&w.input, &o, &packed, &err));
+        const svo_scene *s = svo_packed_scene_get(packed);
+        CHECK_U64(f.scene.instance_count, s->instance_count);
+        CHECK(memcmp(f.scene.instance_transform, s->instance_transform, s->instance_count * 48) == 0);
+        CHECK(memcmp(f.scene.instance_id, s->instance_id, s->instance_count * 8) == 0);
+        CHECK(memcmp(f.scene.pages, s->pages, s->page_count * sizeof *s->pages) == 0);
+        for (uint64_t i = 0; i < s->instance_count; i++) CHECK(strcmp(svo_scene_instance_name(&f.scene, i), svo_scene_instance_name(s, i)) == 0);
+        CHECK(f.scene.asset_count == 3 && strcmp(f.scene.asset_names[2], "far \xc3\xa4") == 0 && strcmp(f.provenance, "{\"tool\":\"test\"}") == 0);
+        CHECK(f.scene.has_camera == (camera == 1));
+        if (camera) CHECK(f.scene.camera_yfov == 0.7 && memcmp(&f.scene.camera_transform, &w.input.camera_transform, sizeof(svo_mat4)) == 0);
+        for (uint32_t a = 0; a < 3; a++) {
+            const svo_view *x = f.scene.assets[a], *y = s->assets[a];
+            CHECK(x->attribute_count == y->attribute_count && x->brick_count == y->brick_count && memcmp(x->bricks, y->bricks, y->brick_count * 8) == 0);
+            for (uint64_t i = 0; i < y->attribute_count; i++) {
+                uint8_t p[8] = {0}, q[8] = {0};
+                svo_view_attribute(x, 0, i, p);
+                svo_view_attribute(y, 0, i, q);
+                CHECK(memcmp(p, q, 8) == 0);
+            }
+        }
+        /* A mapped scene written again has the same bytes. */
+        fmt_output *out;
+        CHECK_OK(fmt_output_open_memory(&again, &out, &err));
+        CHECK_OK(fmt_scene_write(out, &f.scene, f.provenance, NULL, NULL, NULL, &err));
+        CHECK_OK(fmt_output_commit(out, &err));
+        CHECK(again.size == file.size && memcmp(again.data, file.data, file.size) == 0);
+        fmt_scene_close(&f);
+        fmt_scene_close(&f);
+        svo_packed_scene_free(packed);
+        svo_buffer_free(&file);
+        svo_buffer_free(&again);
+        world_free(&w);
+    }
+}
+
+TEST(a_scene_of_one_octree_and_an_empty_one_can_be_written)
+{
+    svo_view *views[2] = {asset(5, 40, 7, 0.25, 3, 1), asset(5, 0, 0, 1, 0, 1)};
+    for (int i = 0; i < 2; i++) {
+        svo_scene_one one;
+        CHECK_OK(svo_scene_single(views[i], "a", NULL, &one, &err));
+        if (i == 1) one.scene.asset_count = 0; /* (an asset without instances cannot be stored) */
+        svo_buffer file;
+        svo_buffer_init(&file, NULL);
+        fmt_output *out;
+        CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+        CHECK_OK(fmt_scene_write(out, &one.scene, NULL, NULL, NULL, NULL, &err));
+        CHECK_OK(fmt_output_commit(out, &err));
+        fmt_scene f;
+        CHECK_OK(fmt_scene_open(file.data, file.size, NULL, &f, &err));
+        CHECK(f.scene.instance_count == (i == 0) && f.scene.asset_count == (i == 0) && f.provenance[0] == 0);
+        fmt_scene_close(&f);
+        svo_buffer_free(&file);
+        packer_free(views[i]);
+    }
+}
+
+/* What the reader would refuse is not written either. */
+TEST(a_bad_scene_is_not_written)
+{
+    world w;
+    world_make(&w, 300, 50, 2);
+    svo_packed_scene *packed;
+    CHECK_OK(svo_pack(&w.input, NULL, &packed, &err));
+    svo_scene good = *svo_packed_scene_get(packed);
+    uint64_t n = good.instance_count;
+    for (int what = 0; what < 12; what++) {
+        svo_scene s = good;
+        uint32_t *assets = malloc(n * 4), *names = malloc(n * 4);
+        float *transforms = malloc(n * 48);
+        svo_scene_page page = good.pages[0];
+        char *text = malloc(good.names_size);
+        memcpy(assets, good.instance_asset, n * 4), memcpy(names, good.instance_name, n * 4), memcpy(transforms, good.instance_transform, n * 48);
+        memcpy(text, good.names, good.names_size);
+        s.instance_asset = assets, s.instance_name = names, s.instance_transform = transforms, s.pages = &page, s.names = text;
+        CHECK_U64(s.page_count, 1);
+        switch (what) {
+        case 0: assets[5] = s.asset_count; break;
+        case 1: for (uint64_t i = 0; i < n; i++) assets[i] = 0; break;
+        case 2: transforms[12 * 9 + 4] = NAN; break;
+        case 3: memset(transforms + 24, 0, 48); break;
+        case 4: page.count--; break;
+        case 5: page.first = 1; break;
+        case 6: page.low[1] += 1; break;
+        case 7: page.high[2] = INFINITY; break;
+        case 8: names[3] = (uint32_t)s.names_size; break;
+        case 9: names[3] = 2; break;
+        case 10: text[1] = (char)0xff; break;
+        case 11: s.has_camera = true; s.camera_yfov = 4; s.camera_transform = svo_mat4_identity(); break;
+        }
+        svo_buffer file;
+        svo_buffer_init(&file, NULL);
+        fmt_output *out;
+        CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+        CHECK_MSG(fmt_scene_write(out, &s, NULL, NULL, NULL, NULL, &err) == SVO_INVALID_ARGUMENT, "case %d: %s", what, err.message);
+        CHECK_U64(fmt_output_offset(out), 0);
+        fmt_output_discard(out);
+        svo_buffer_free(&file);
+        free(assets), free(names), free(transforms), free(text);
+    }
+    svo_packed_scene_free(packed);
+    world_free(&w);
+}
