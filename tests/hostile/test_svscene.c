@@ -104,8 +104,8 @@ static void run(uint64_t count, uint32_t rounds)
     svo_buffer_free(&file);
 }
 
-TEST(a_scene) { run(20, 600); }
-TEST(a_scene_without_instances) { run(0, 200); }
+TEST(a_scene) { run(20, 4000); }
+TEST(a_scene_without_instances) { run(0, 2000); }
 
 /* Each rule broken by itself, with right hashes: the message names it. */
 typedef struct breakage { const char *rule; uint32_t type; uint64_t offset; uint32_t size; uint8_t bytes[8]; } breakage;
