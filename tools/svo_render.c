@@ -1,0 +1,350 @@
+/* svo-render: a picture of a packed scene or of one octree. */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "cli.h"
+#include "fmt_image.h"
+#include "fmt_scene.h"
+#include "fmt_svo.h"
+#include "svo_dag.h"
+#include "svo_render.h"
+
+/* What the user asked for. */
+static struct {
+    const char *size, *background;
+    double eye[3], target[3], up[3], light[3], fov, ambient, footprint;
+    bool eye_seen, target_seen, up_seen, fov_seen, no_shadows;
+    uint64_t samples;
+} ask = {.size = "1280x720", .background = "sky", .up = {0, 1, 0}, .light = {-0.45, 0.85, 0.65}, .fov = 40, .ambient = 0.35,
+         .footprint = 1, .samples = 1};
+
+static const cli_option options[] = {
+    {"size", 0, CLI_TEXT, &ask.size, "WxH", "Picture in pixels, 1 to 65536 a side, at most 2^28 in all.", 0, 0, NULL, NULL, false, "Picture"},
+    {"samples", 0, CLI_U64, &ask.samples, "N", "N x N rays a pixel on a regular grid.", 1, 16, NULL, NULL, false, "Picture"},
+    {"background", 0, CLI_TEXT, &ask.background, "B", "sky (a gradient), transparent, or r,g,b in sRGB 0..255.", 0, 0, NULL, NULL, false, "Picture"},
+    {"footprint", 0, CLI_DOUBLE, &ask.footprint, "S",
+     "Stop at voxels at most S samples wide, using their averaged attributes; 0 goes down to the finest voxels.", 0, 1e6, NULL, NULL, false, "Picture"},
+    {"eye", 0, CLI_VEC3, ask.eye, "x,y,z", "Where the camera stands.", 0, 0, NULL, &ask.eye_seen, true, "Camera"},
+    {"target", 0, CLI_VEC3, ask.target, "x,y,z", "What it looks at (with --eye alone: the middle of the scene).", 0, 0, NULL, &ask.target_seen, true, "Camera"},
+    {"up", 0, CLI_VEC3, ask.up, "x,y,z", "Which way is up in the picture.", 0, 0, NULL, &ask.up_seen, false, "Camera"},
+    {"fov", 0, CLI_DOUBLE, &ask.fov, "DEG", "Vertical field of view in degrees.", 1e-3, 179, NULL, &ask.fov_seen, false, "Camera"},
+    {"light", 0, CLI_VEC3, ask.light, "x,y,z", "Direction towards the light.", 0, 0, NULL, NULL, false, "Light"},
+    {"ambient", 0, CLI_DOUBLE, &ask.ambient, "A", "Share of the light that comes from everywhere.", 0, 1, NULL, NULL, false, "Light"},
+    {"no-shadows", 0, CLI_FLAG, &ask.no_shadows, NULL, "Do not trace shadow rays.", 0, 0, NULL, NULL, false, "Light"},
+};
+
+static const cli_tool tool = {
+    .name = "svo-render",
+    .summary = "Ray-cast a picture of a packed scene or of one octree.",
+    .synopsis = "IN -o OUT.png [--size WxH] [--eye x,y,z --target x,y,z --fov DEG]",
+    .options = options,
+    .option_count = sizeof options / sizeof options[0],
+    .details = "IN is an .svscene, .svdag or .svo file, or - for stdin. Without --eye and --target the scene's own camera is used, or, where it has\n"
+               "none, a view from the right, above and in front that holds everything.",
+    .example = "svo-render city.svscene -o city.png --size 1920x1080 --samples 2\n  svo-render cow.svdag -o - --eye 1,1,3 --target 0,0,0 --fov 30 > cow.png",
+    .min_inputs = 1, .max_inputs = 1, .has_output = true};
+
+/* ---- the input: whatever it is, a scene ---------------------------------------------------------------------------- */
+
+typedef struct input {
+    fmt_bytes bytes;
+    fmt_scene file;
+    fmt_svdag dag;
+    svo_packed *packed;
+    /* a scene of one asset */
+    svo_scene single;
+    const svo_view *view;
+    const char *name;
+    float transform[12];
+    uint32_t zero32;
+    uint64_t zero64;
+    svo_scene_page page;
+    const svo_scene *scene;
+    const char *kind;
+} input;
+
+static void single_scene(input *in, const svo_view *view)
+{
+    static const float identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    in->view = view;
+    in->name = "";
+    memcpy(in->transform, identity, sizeof identity);
+    svo_scene *s = &in->single;
+    s->asset_count = 1, s->assets = &in->view, s->asset_names = &in->name;
+    s->instance_count = 1, s->instance_asset = &in->zero32, s->instance_transform = in->transform;
+    s->instance_id = &in->zero64, s->instance_name = &in->zero32, s->names = "", s->names_size = 1;
+    s->page_count = 1, s->pages = &in->page;
+    in->page.count = 1;
+    svo_mat4 m;
+    memcpy(m.m, view->voxel_to_world, sizeof m.m);
+    for (int k = 0; k < 3; k++) in->page.low[k] = INFINITY, in->page.high[k] = -INFINITY;
+    double size = ldexp(1, (int)view->depth);
+    for (int i = 0; i < 8; i++) {
+        svo_vec3 p = svo_mat4_point(&m, svo_v3(i & 1 ? size : 0, i & 2 ? size : 0, i & 4 ? size : 0));
+        double c[3] = {p.x, p.y, p.z};
+        for (int k = 0; k < 3; k++) in->page.low[k] = fmin(in->page.low[k], c[k]), in->page.high[k] = fmax(in->page.high[k], c[k]);
+    }
+    in->scene = s;
+}
+
+static svo_result open_svo(input *in, cli *c, const svo_allocator *a, svo_error *err)
+{
+    fmt_input *stream = NULL;
+    fmt_svo_reader *reader = NULL;
+    svo_result r = fmt_input_open_memory(in->bytes.data, in->bytes.size, &stream, err);
+    if (r == SVO_OK) r = fmt_svo_reader_open(stream, a, &reader, err);
+    if (r == SVO_OK) {
+        svo_dag_options o = svo_default_dag_options();
+        o.threads = (uint32_t)c->threads;
+        o.allocator = a;
+        o.warnings = &c->warnings;
+        svo_chunk_source source = fmt_svo_reader_source(reader);
+        r = svo_dag_build(fmt_svo_reader_info(reader), &source, &o, &in->packed, NULL, err);
+    }
+    fmt_svo_reader_close(reader);
+    fmt_input_close(stream);
+    if (r == SVO_OK) single_scene(in, svo_packed_view(in->packed));
+    return r;
+}
+
+static svo_result open_input(input *in, cli *c, const svo_allocator *a, svo_error *err)
+{
+    SVO_TRY(fmt_bytes_open(c->inputs[0], c->memory, a, &in->bytes, err));
+    /* signature of the container, then the kind (docs/format/container.md) */
+    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', 0x0d, 0x0a, 0x1a, 0x0a};
+    fmt_kind kind = 0;
+    if (in->bytes.size >= 64 && memcmp(in->bytes.data, signature, 8) == 0)
+        kind = (fmt_kind)FMT_FOURCC(in->bytes.data[16], in->bytes.data[17], in->bytes.data[18], in->bytes.data[19]);
+    switch (kind) {
+    case FMT_KIND_SCENE:
+        in->kind = "svscene";
+        SVO_TRY(fmt_scene_open(in->bytes.data, in->bytes.size, a, &in->file, err));
+        in->scene = &in->file.scene;
+        return SVO_OK;
+    case FMT_KIND_SVDAG:
+        in->kind = "svdag";
+        SVO_TRY(fmt_svdag_open(in->bytes.data, in->bytes.size, a, &in->dag, err));
+        single_scene(in, &in->dag.view);
+        return SVO_OK;
+    case FMT_KIND_SVO: in->kind = "svo"; return open_svo(in, c, a, err);
+    case FMT_KIND_SKEL: return svo_fail(err, SVO_UNSUPPORTED, "%s is a skeleton; svo-render draws .svscene, .svdag and .svo files", c->inputs[0]);
+    }
+    return svo_fail(err, SVO_INVALID_DATA, "%s is not an .svscene, .svdag or .svo file (meshes go through svo-voxelize first)", c->inputs[0]);
+}
+
+static void close_input(input *in)
+{
+    fmt_scene_close(&in->file);
+    fmt_svdag_close(&in->dag);
+    svo_packed_free(in->packed);
+    fmt_bytes_close(&in->bytes);
+}
+
+/* ---- options that need more than the table -------------------------------------------------------------------------- */
+
+static bool parse_size(const char *text, uint32_t *width, uint32_t *height)
+{
+    unsigned w, h;
+    int end = 0;
+    if (strlen(text) > 16 || sscanf(text, "%5u%*1[xX]%5u%n", &w, &h, &end) != 2 || text[end] != 0) return false;
+    if (w < 1 || h < 1 || w > 65536 || h > 65536) return false;
+    *width = w, *height = h;
+    return true;
+}
+
+static bool parse_background(const char *text, svo_render_options *o)
+{
+    if (strcmp(text, "sky") == 0) return true;
+    if (strcmp(text, "transparent") == 0) return o->transparent = true;
+    unsigned c[3];
+    int end = 0;
+    if (sscanf(text, "%3u,%3u,%3u%n", &c[0], &c[1], &c[2], &end) != 3 || text[end] != 0) return false;
+    for (int k = 0; k < 3; k++) {
+        if (c[k] > 255) return false;
+        o->background_top[k] = o->background_bottom[k] = svo_srgb_to_linear((uint8_t)c[k]);
+    }
+    return true;
+}
+
+static bool ends_with(const char *text, const char *end)
+{
+    size_t n = strlen(text), m = strlen(end);
+    return n >= m && strcasecmp(text + n - m, end) == 0;
+}
+
+static svo_vec3 vec(const double v[3]) { return svo_v3(v[0], v[1], v[2]); }
+
+static svo_result choose_camera(const svo_scene *scene, const svo_bvh *bvh, svo_render_options *o, const char **how, svo_error *err)
+{
+    double low[3] = {0, 0, 0}, high[3] = {1, 1, 1}, fov = ask.fov * 3.14159265358979323846 / 180;
+    svo_bvh_bounds(bvh, low, high);
+    if (!ask.eye_seen && !ask.target_seen && scene->has_camera) {
+        *how = "scene";
+        return svo_eye_from_transform(&scene->camera_transform, ask.fov_seen ? fov : scene->camera_yfov, &o->eye, err);
+    }
+    *how = "framed";
+    o->eye = svo_eye_frame(low, high, (double)o->width / o->height, fov);
+    if (!ask.eye_seen && !ask.target_seen && !ask.up_seen) return SVO_OK;
+    *how = "given";
+    svo_vec3 middle = {0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]};
+    return svo_eye_look(ask.eye_seen ? vec(ask.eye) : o->eye.position, ask.target_seen ? vec(ask.target) : middle, vec(ask.up), fov, &o->eye, err);
+}
+
+/* ---- the report ----------------------------------------------------------------------------------------------------- */
+
+static void put_vec(json_t *o, const char *key, svo_vec3 v) { json_object_set_new(o, key, json_pack("[f,f,f]", v.x, v.y, v.z)); }
+
+static void put_rays(json_t *rays, const char *name, uint64_t count, uint64_t hits, double seconds)
+{
+    json_t *o = json_object();
+    cli_put_u64(o, "rays", count);
+    cli_put_u64(o, "hits", hits);
+    cli_put_f64(o, "thread_seconds", seconds);
+    cli_put_f64(o, "mrays_per_thread_second", seconds > 0 ? (double)count / seconds / 1e6 : NAN);
+    json_object_set_new(rays, name, o);
+}
+
+static void report_input(cli *c, const input *in, const svo_bvh_report *b)
+{
+    json_t *o = cli_section(c, "input");
+    cli_put_text(o, "kind", in->kind);
+    cli_put_u64(o, "bytes", in->bytes.size);
+    cli_put_u64(o, "assets", in->scene->asset_count);
+    cli_put_u64(o, "pages", in->scene->page_count);
+    cli_put_u64(o, "instances", b->instances);
+    cli_put_u64(o, "instances_placed", b->placed);
+    cli_put_u64(o, "instances_empty", b->empty);
+    cli_put_u64(o, "instances_singular", b->singular);
+    cli_put_u64(o, "instances_hidden_duplicates", b->duplicates);
+    cli_put_u64(o, "hierarchy_nodes", b->nodes);
+    cli_put_u64(o, "hierarchy_bytes", b->bytes);
+}
+
+static void report_picture(cli *c, const svo_render_options *o, const svo_render_stats *s, const char *camera, uint64_t bytes)
+{
+    json_t *out = cli_section(c, "output");
+    cli_put_u64(out, "bytes", bytes);
+    cli_put_u64(out, "width", o->width);
+    cli_put_u64(out, "height", o->height);
+    json_t *eye = cli_section(c, "camera");
+    cli_put_text(eye, "from", camera);
+    put_vec(eye, "eye", o->eye.position);
+    put_vec(eye, "forward", o->eye.forward);
+    put_vec(eye, "up", o->eye.up);
+    cli_put_f64(eye, "fov", o->eye.yfov * 180 / 3.14159265358979323846);
+    json_t *rays = cli_section(c, "rays");
+    put_rays(rays, "primary", s->primary, s->hits, s->primary_seconds);
+    put_rays(rays, "shadow", s->shadow, s->blocked, s->shadow_seconds);
+    cli_put_f64(rays, "shade_thread_seconds", s->shade_seconds);
+    json_t *levels = cli_section(c, "levels"), *counts = json_array();
+    uint64_t most = 0;
+    double sum = 0;
+    for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++)
+        if (s->levels[l] != 0) most = l, sum += (double)s->levels[l] * l;
+    for (uint32_t l = 0; l <= most; l++) json_array_append_new(counts, json_integer((json_int_t)s->levels[l]));
+    cli_put_f64(levels, "mean", s->hits != 0 ? sum / (double)s->hits : NAN);
+    cli_put_u64(levels, "max", most);
+    json_object_set_new(levels, "hits", counts);
+    cli_put_u64(levels, "stops_above_finest", s->lod_stops);
+    cli_put_u64(levels, "rays_begun_inside", s->inside);
+    /* The stop rule, measured: a stopped-at node is at most `footprint` samples wide, its parent was wider. */
+    json_t *errors = cli_section(c, "errors");
+    cli_put_f64(errors, "stop_edge_max_samples", s->stop_max);
+    cli_put_f64(errors, "stop_parent_edge_min_samples", s->parent_min);
+    json_object_set_new(errors, "stop_rule_holds", json_boolean(s->stop_max <= o->footprint * (1 + 1e-9) && s->parent_min > o->footprint * (1 - 1e-9)));
+}
+
+/* ---- main ----------------------------------------------------------------------------------------------------------- */
+
+static void show_progress(void *user, double fraction) { cli_progress(user, "rendering", fraction); }
+
+static svo_result run(cli *c, svo_render_options *o, const svo_allocator *a, svo_error *err)
+{
+    input in;
+    memset(&in, 0, sizeof in);
+    svo_bvh *bvh = NULL;
+    svo_bvh_report b;
+    svo_render_stats stats;
+    fmt_output *out = NULL;
+    uint8_t *pixels = NULL;
+    uint64_t count = (uint64_t)o->width * o->height, bytes = 0;
+    const char *camera = "";
+    svo_result r = SVO_OK;
+    if (!ends_with(c->output, ".png") && strcmp(c->output, "-") != 0)
+        return svo_fail(err, SVO_UNSUPPORTED, "%s: svo-render writes .png only", c->output);
+    /* before the work, so that a bad place is known at once */
+    SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
+
+    cli_phase(c, "open");
+    if ((r = open_input(&in, c, a, err)) != SVO_OK) goto done;
+    cli_phase(c, "hierarchy");
+    if ((r = svo_bvh_build(in.scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
+    report_input(c, &in, &b);
+    if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
+    if ((r = choose_camera(in.scene, bvh, o, &camera, err)) != SVO_OK) goto done;
+    pixels = svo_alloc(a, count, 4);
+    if (pixels == NULL) {
+        r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u pixels", o->width, o->height);
+        goto done;
+    }
+    cli_phase(c, "render");
+    if ((r = svo_render(bvh, in.scene, o, pixels, &stats, err)) != SVO_OK) goto done;
+    cli_phase(c, "write");
+    uint32_t channels = 4;
+    if (!o->transparent) {
+        channels = 3;
+        for (uint64_t i = 0; i < count; i++) memmove(pixels + 3 * i, pixels + 4 * i, 3);
+    }
+    if ((r = fmt_png_write(out, pixels, o->width, o->height, channels, err)) != SVO_OK) goto done;
+    bytes = fmt_output_offset(out);
+    r = fmt_output_commit(out, err);
+    out = NULL;
+    cli_phase(c, NULL);
+    if (r != SVO_OK) goto done;
+    report_picture(c, o, &stats, camera, bytes);
+    cli_info(c, "%s: %u x %u, %.2f Mray primary at %.2f and %.2f Mray shadow at %.2f Mray/s a thread", c->output, o->width, o->height,
+             1e-6 * (double)stats.primary, stats.primary_seconds > 0 ? 1e-6 * (double)stats.primary / stats.primary_seconds : 0,
+             1e-6 * (double)stats.shadow, stats.shadow_seconds > 0 ? 1e-6 * (double)stats.shadow / stats.shadow_seconds : 0);
+done:
+    fmt_output_discard(out);
+    svo_free(a, pixels, count, 4);
+    svo_bvh_free(bvh);
+    close_input(&in);
+    return r;
+}
+
+int main(int argc, char **argv)
+{
+    cli c;
+    svo_error err = {0};
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    svo_render_options o = svo_default_render_options();
+    if (!parse_size(ask.size, &o.width, &o.height)) return cli_usage(&c, "--size takes WxH with 1 to 65536 pixels a side, not \"%s\"", ask.size);
+    if (!parse_background(ask.background, &o))
+        return cli_usage(&c, "--background takes sky, transparent or r,g,b with 0..255 each, not \"%s\"", ask.background);
+    if (svo_length(vec(ask.light)) == 0) return cli_usage(&c, "--light needs a direction, not 0,0,0");
+    if (c.output == NULL) return cli_usage(&c, "-o OUT.png is missing");
+    o.samples = (uint32_t)ask.samples;
+    o.light = vec(ask.light);
+    o.ambient = ask.ambient;
+    o.shadows = !ask.no_shadows;
+    o.footprint = ask.footprint;
+    o.measure = c.report != NULL;
+    o.threads = (uint32_t)c.threads;
+    svo_limit_allocator limited;
+    const svo_allocator *a = NULL;
+    if (c.memory != 0) {
+        svo_limit_allocator_init(&limited, c.memory, NULL);
+        a = &limited.base;
+    }
+    o.allocator = a;
+    o.progress = show_progress;
+    o.user = &c;
+    svo_result r = run(&c, &o, a, &err);
+    if (r == SVO_OUT_OF_MEMORY && c.memory != 0) r = svo_fail(&err, SVO_LIMIT, "the picture does not fit into --memory");
+    return cli_end(&c, r, &err);
+}
