@@ -4,7 +4,9 @@
 
 #include "cli.h"
 #include "fmt_container.h"
+#include "svo_math.h"
 #include "svo_stream.h"
+#include "svo_view.h"
 
 /* What is to be done with one file. */
 typedef struct dump_job {
@@ -20,6 +22,8 @@ typedef struct dump_job {
 } dump_job;
 
 svo_result dump_svo(dump_job *j, svo_error *err);
+svo_result dump_svdag(dump_job *j, svo_error *err);
+svo_result dump_scene(dump_job *j, svo_error *err);
 
 /* --- shared by the kinds (dump_common.c) --- */
 
@@ -37,6 +41,11 @@ void dump_bounds(json_t *o, bool any, const uint32_t low[3], const uint32_t high
 json_t *dump_channel(const svo_channel *c);
 /* A value as people read it: [r,g,b], [x,y,z] or a number. New reference. */
 json_t *dump_value(svo_channel_kind kind, const uint8_t *value);
+/* attributes of a packed octree; `c` (may be NULL) is its file, for the bytes of each channel. New reference. */
+json_t *dump_view_channels(const svo_view *v, const fmt_container *c);
+typedef struct dump_ply dump_ply;
+/* Feed all finest voxels of a packed octree to a point cloud. use[i] is the view's channel that column i takes. */
+svo_result dump_view_voxels(const svo_view *v, const uint32_t *use, uint32_t columns, dump_ply *p, svo_error *err);
 void dump_provenance(json_t *o, const char *text);
 json_t *dump_reals(const double *v, size_t n);
 
@@ -44,13 +53,13 @@ json_t *dump_reals(const double *v, size_t n);
 void dump_print(const dump_job *j);
 
 /* --- point clouds (dump_ply.c) --- */
-typedef struct dump_ply dump_ply;
 /* A binary PLY of exactly `count` voxels: vx vy vz, world centre x y z, the channels, and `instance` if asked for. */
 svo_result dump_ply_begin(const dump_job *j, uint64_t count, const svo_channel *channels, uint32_t channel_count, bool instances,
                           dump_ply **out, svo_error *err);
-/* values[i]: the voxel's value of channel i (ignored for constant channels). */
-svo_result dump_ply_voxel(dump_ply *p, const double voxel_to_world[16], uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values,
-                          uint64_t instance, svo_error *err);
+/* The map of the rows that follow from the grid to the world, and of their normals (NULL: as they are); both borrowed. */
+void dump_ply_place(dump_ply *p, const double voxel_to_world[16], const svo_mat4 *normals, uint32_t instance);
+/* values[i]: the voxel's value of channel i (of constant channels ignored, may be NULL). */
+svo_result dump_ply_voxel(dump_ply *p, uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values, svo_error *err);
 svo_result dump_ply_end(dump_ply *p, svo_error *err);
 void dump_ply_discard(dump_ply *p);
 

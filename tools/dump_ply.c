@@ -13,6 +13,9 @@ struct dump_ply {
     uint64_t count, written;
     uint32_t channel_count;
     bool instances;
+    const double *to_world;
+    const svo_mat4 *normals;
+    uint32_t instance;
     svo_channel channels[SVO_MAX_CHANNELS];
     size_t used;
     uint8_t rows[ROW_MAX * ROWS];
@@ -87,10 +90,17 @@ static uint8_t *put(uint8_t *to, const void *bytes, size_t n)
     return to + n;
 }
 
-svo_result dump_ply_voxel(dump_ply *p, const double m[16], uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values, uint64_t instance,
-                          svo_error *err)
+void dump_ply_place(dump_ply *p, const double voxel_to_world[16], const svo_mat4 *normals, uint32_t instance)
+{
+    p->to_world = voxel_to_world;
+    p->normals = normals;
+    p->instance = instance;
+}
+
+svo_result dump_ply_voxel(dump_ply *p, uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values, svo_error *err)
 {
     uint8_t *to = p->rows + p->used;
+    const double *m = p->to_world;
     const uint32_t grid[3] = {x, y, z};
     to = put(to, grid, sizeof grid);
     for (int i = 0; i < 3; i++) {
@@ -103,15 +113,16 @@ svo_result dump_ply_voxel(dump_ply *p, const double m[16], uint32_t x, uint32_t 
         if (c->kind == SVO_KIND_NORMAL_OCT32) {
             float n[3];
             svo_oct32_decode(value, n);
+            if (p->normals != NULL) {
+                svo_vec3 v = svo_normalize(svo_mat4_normal(p->normals, svo_v3(n[0], n[1], n[2])));
+                n[0] = (float)v.x, n[1] = (float)v.y, n[2] = (float)v.z;
+            }
             to = put(to, n, sizeof n);
         } else {
             to = put(to, value, svo_channel_stride(c->kind));
         }
     }
-    if (p->instances) {
-        uint32_t number = (uint32_t)instance;
-        to = put(to, &number, sizeof number);
-    }
+    if (p->instances) to = put(to, &p->instance, sizeof p->instance);
     p->used = (size_t)(to - p->rows);
     p->written++;
     if (p->used + ROW_MAX <= sizeof p->rows) return SVO_OK;

@@ -102,7 +102,7 @@ static bool write_row(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t i
     const uint8_t *values[SVO_MAX_CHANNELS] = {NULL};
     for (uint32_t c = 0; c < info->channel_count; c++)
         if (r->chunk->channels[c] != NULL) values[c] = r->chunk->channels[c] + index * svo_channel_stride(info->channels[c].kind);
-    r->result = dump_ply_voxel(r->w->ply, info->voxel_to_world, x, y, z, values, 0, r->err);
+    r->result = dump_ply_voxel(r->w->ply, x, y, z, values, r->err);
     return r->result == SVO_OK;
 }
 
@@ -180,6 +180,7 @@ static svo_result run(dump_job *j, walk *w, svo_error *err)
         if (w->seen[c].bits == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to count distinct values");
     }
     if (j->voxels != NULL) SVO_TRY(dump_ply_begin(j, w->expected, w->info->channels, w->info->channel_count, false, &w->ply, err));
+    if (w->ply != NULL) dump_ply_place(w->ply, w->info->voxel_to_world, NULL, 0);
     svo_pipeline p = {.threads = (uint32_t)j->c->threads, .item_size = sizeof(item), .user = w, .produce = produce, .work = work,
                       .commit = commit, .destroy = destroy};
     SVO_TRY(svo_pipeline_run(&p, err));

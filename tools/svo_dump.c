@@ -8,6 +8,8 @@ static svo_result dump_bytes(dump_job *j, svo_error *err)
 {
     uint32_t kind = j->size >= 64 ? fmt_load32(j->data + 16) : 0;
     if (kind == FMT_KIND_SVO) return dump_svo(j, err);
+    if (kind == FMT_KIND_SVDAG) return dump_svdag(j, err);
+    if (kind == FMT_KIND_SCENE) return dump_scene(j, err);
     fmt_container c; /* says what is wrong with the header */
     SVO_TRY(fmt_container_open(j->data, j->size, j->allocator, &c, err));
     fmt_container_close(&c);
