@@ -140,7 +140,8 @@ static svo_result check_table(const uint8_t *data, const fmti_footer *f, uint64_
     uint64_t at = f->table_offset;
     if (at % FMTI_BLOCK != 0 || at < FMTI_BLOCK || at > footer_at - FMTI_BLOCK)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, FMT_TYPE_TABLE, at, "the table cannot be there (CON-05)");
-    SVO_TRY(fmti_parse_chunk(data + at, at, &t, err));
+    if (fmti_parse_chunk(data + at, at, &t, NULL) != SVO_OK)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, FMT_TYPE_TABLE, at, "the header of the table is damaged (CON-05)");
     if (t.type != FMT_TYPE_TABLE || t.flags != FMT_CHUNK_CRITICAL || t.codec != FMT_CODEC_NONE || t.element_stride != FMTI_BLOCK || t.id != 0 ||
         t.element_count != f->chunk_count || t.stored_size != footer_at - FMTI_BLOCK - at)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, t.type, at, "the footer names this place as the table, which it is not (CON-05)");
