@@ -163,8 +163,8 @@ static svo_result replace_triangles(skeli_pool *pool, curve *c, svo_error *err)
 }
 
 /* Centre each welded joint: move it from where it was contracted to towards the area-weighted centroid (plain mean where there is no
- * area) of the surface that is mapped to it. The centroid is the centre of a surface that lies around the joint, but of a cap it is a point
- * near the cap: so the more one-sided the surface (displacement over mean distance), the less of the way is gone. */
+ * area) of the surface that is mapped to it. The centroid is the centre of a surface that lies around the joint, but of a cap, as ends have it,
+ * it is a point near the cap: so an end goes less of the way, the more one-sided its surface is (displacement over mean distance). */
 #define AROUND 0.65    /* up to here all of it */
 #define ONE_SIDED 0.9 /* from here on nothing */
 
@@ -172,7 +172,10 @@ static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, cons
 {
     enum { AREA, CENTROID, COUNT = 4, MEAN, DISTANCE = 8, AREA_DISTANCE, COLUMNS };
     double *sum = skeli_take(pool, COLUMNS * (uint64_t)c->welded, sizeof *sum);
-    if (sum == NULL) return skeli_no_memory(err);
+    uint32_t *degree = skeli_take(pool, c->joints, sizeof *degree);
+    if (sum == NULL || degree == NULL) return skeli_no_memory(err);
+    memset(degree, 0, c->joints * sizeof *degree);
+    for (uint64_t i = 0; i < 2 * c->bones; i++) degree[c->bone[i]]++;
     memset(sum, 0, COLUMNS * (uint64_t)c->welded * sizeof *sum);
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         double *s = sum + COLUMNS * (uint64_t)c->joint_of[v], distance2 = 0;
@@ -198,10 +201,11 @@ static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, cons
         }
         double distance = area ? s[AREA_DISTANCE] / s[AREA] : s[DISTANCE] / s[COUNT];
         double one_sided = distance > 0 ? sqrt(moved2) / distance : 0, f = (ONE_SIDED - one_sided) / (ONE_SIDED - AROUND);
-        f = f < 0 ? 0 : f > 1 ? 1 : f;
+        f = degree[j] > 1 || f > 1 ? 1 : f < 0 ? 0 : f;
         for (int k = 0; k < 3; k++) at[k] += f * (to[k] - at[k]);
     }
     skeli_give(pool, sum);
+    skeli_give(pool, degree);
     return SVO_OK;
 }
 
