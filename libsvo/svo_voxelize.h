@@ -13,7 +13,7 @@ extern "C" {
 enum {
     SVO_WANT_COLOR = 1, SVO_WANT_NORMAL = 2, SVO_WANT_EMISSIVE = 4, SVO_WANT_METALLIC = 8, SVO_WANT_ROUGHNESS = 16,
     SVO_WANT_MATERIAL = 32,
-    SVO_WANT_AUTO = 1 << 30 /* normal, and every other channel in which the mesh says something */
+    SVO_WANT_AUTO = 1 << 30 /* normal, and every other channel but material in which the mesh says something */
 };
 
 typedef struct svo_voxelize_options {
@@ -39,6 +39,8 @@ typedef struct svo_voxelize_report {
     uint64_t degenerate;          /* triangles that are a segment or a point after the snap; they still mark voxels */
     double snap_mean, snap_max;   /* distance a vertex moved by the snap to the lattice */
     uint64_t masked_voxels;       /* voxels removed by alpha MASK */
+    double distance_mean, distance_max; /* voxel centre to the nearest triangle in the voxel; of a fixed sample of voxels */
+    uint64_t distance_samples;
     svo_tree_counts counts;
     uint64_t peak_bytes;          /* of memory charged to `memory` */
     double seconds_setup, seconds_voxels;

@@ -1,0 +1,261 @@
+/* svo-voxelize: meshes to a sparse voxel octree with attributes. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "cli.h"
+#include "fmt_import.h"
+#include "fmt_svo.h"
+#include "svo_voxelize.h"
+#include "voxelize_join.h"
+
+static const char *const fills[] = {"surface", "solid", NULL};
+static const char *const surfaces[] = {"conservative", "thin", NULL};
+
+typedef struct tool_options {
+    uint64_t depth;
+    double voxel_size;
+    bool has_depth, has_size;
+    int fill, surface;
+    const char *attributes;
+    uint64_t level; /* zstd's */
+    uint32_t channels;
+} tool_options;
+
+/* "auto", "none" or a comma-separated list of channel names; false with the culprit in *bad. */
+static bool parse_attributes(const char *text, uint32_t *out, char bad[40])
+{
+    static const struct { const char *name; uint32_t bit; } names[] = {
+        {"color", SVO_WANT_COLOR}, {"normal", SVO_WANT_NORMAL}, {"emissive", SVO_WANT_EMISSIVE},
+        {"metallic", SVO_WANT_METALLIC}, {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL}};
+    *out = strcmp(text, "auto") == 0 ? SVO_WANT_AUTO : 0;
+    if (*out != 0 || strcmp(text, "none") == 0) return true;
+    for (const char *at = text;;) {
+        size_t length = strcspn(at, ",");
+        uint32_t bit = 0;
+        for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+            if (strlen(names[i].name) == length && memcmp(names[i].name, at, length) == 0) bit = names[i].bit;
+        if (bit == 0) {
+            size_t n = length < 39 ? length : 39;
+            memcpy(bad, at, n);
+            bad[n] = 0;
+            return false;
+        }
+        *out |= bit;
+        if (at[length] == 0) return true;
+        at += length + 1;
+    }
+}
+
+/* Import all inputs into one mesh; *inputs receives their names and content hashes. */
+static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json_t *inputs, svo_error *err)
+{
+    uint32_t count = (uint32_t)c->input_count, done = 0;
+    svo_mesh *meshes = calloc(count, sizeof *meshes);
+    if (meshes == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    svo_result r = SVO_OK;
+    for (; r == SVO_OK && done < count; done++) {
+        fmt_bytes bytes;
+        char hash[33];
+        r = fmt_bytes_open(c->inputs[done], 0, a, &bytes, err);
+        if (r != SVO_OK) break;
+        fmt_hash_hex(bytes.data, bytes.size, hash);
+        fmt_bytes_close(&bytes);
+        json_array_append_new(inputs, cli_provenance_input(c->inputs[done], hash));
+        fmt_import_options o = {.allocator = a, .warnings = &c->warnings};
+        r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
+        if (r != SVO_OK) break;
+    }
+    if (r == SVO_OK && count == 1) {
+        *out = meshes[0];
+        done = 0;
+    } else if (r == SVO_OK) {
+        r = join_meshes(meshes, count, a, out, err);
+    }
+    for (uint32_t i = 0; i < done; i++) svo_mesh_free(&meshes[i]);
+    free(meshes);
+    return r;
+}
+
+static void report_input(cli *c, const svo_mesh *mesh)
+{
+    svo_mesh_counts n = svo_mesh_count(mesh);
+    json_t *o = cli_section(c, "input");
+    cli_put_u64(o, "files", (uint64_t)c->input_count);
+    cli_put_u64(o, "vertices", n.vertices);
+    cli_put_u64(o, "triangles", n.triangles);
+    cli_put_u64(o, "placed_triangles", n.placed_triangles);
+    cli_put_u64(o, "instances", mesh->instance_count);
+    cli_put_u64(o, "materials", mesh->material_count);
+    cli_put_u64(o, "images", mesh->image_count);
+    cli_put_u64(o, "bytes", n.bytes);
+}
+
+static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_report *v, uint64_t bytes)
+{
+    json_t *o = cli_section(c, "output"), *levels = json_array(), *channels = json_array();
+    uint64_t nodes = 0, voxels = v->counts.nodes[info->depth];
+    for (uint32_t l = 0; l <= info->depth; l++) {
+        nodes += v->counts.nodes[l];
+        json_t *level = json_object();
+        cli_put_u64(level, "level", l);
+        cli_put_u64(level, "nodes", v->counts.nodes[l]);
+        json_array_append_new(levels, level);
+    }
+    for (uint32_t i = 0; i < info->channel_count; i++) {
+        json_t *channel = json_object();
+        cli_put_text(channel, "name", info->channels[i].name);
+        json_object_set_new(channel, "constant", json_boolean(info->channels[i].constant));
+        json_array_append_new(channels, channel);
+    }
+    cli_put_u64(o, "bytes", bytes);
+    cli_put_u64(o, "depth", info->depth);
+    cli_put_f64(o, "voxel_size", info->voxel_to_world[0]);
+    cli_put_u64(o, "voxels", voxels);
+    cli_put_u64(o, "nodes", nodes);
+    cli_put_u64(o, "chunks", v->counts.chunks);
+    cli_put_f64(o, "bytes_per_voxel", voxels != 0 ? (double)bytes / (double)voxels : 0);
+    cli_put_u64(o, "masked_voxels", v->masked_voxels);
+    json_object_set_new(o, "levels", levels);
+    json_object_set_new(o, "attributes", channels);
+    double seconds = v->seconds_setup + v->seconds_voxels;
+    cli_put_f64(o, "voxels_per_second", seconds > 0 ? (double)voxels / seconds : 0);
+    cli_put_u64(o, "working_memory_bytes", v->peak_bytes);
+
+    json_t *e = cli_section(c, "errors");
+    cli_put_text(e, "unit", "voxel");
+    cli_put_f64(e, "snap_mean", v->snap_mean);
+    cli_put_f64(e, "snap_max", v->snap_max);
+    cli_put_f64(e, "centre_to_surface_mean", v->distance_mean);
+    cli_put_f64(e, "centre_to_surface_max", v->distance_max);
+    cli_put_u64(e, "centre_to_surface_samples", v->distance_samples);
+    cli_put_u64(e, "triangles_not_finite", v->skipped_not_finite);
+    cli_put_u64(e, "triangles_degenerate", v->degenerate);
+}
+
+static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh, json_t *inputs, svo_limit_allocator *limit, svo_error *err)
+{
+    svo_voxelize_options v = svo_default_voxelize_options();
+    v.depth = (uint32_t)o->depth;
+    v.voxel_size = o->has_size ? o->voxel_size : 0;
+    v.surface = (svo_surface)o->surface;
+    v.fill = (svo_fill)o->fill;
+    v.channels = o->channels;
+    v.threads = (uint32_t)c->threads;
+    v.allocator = &limit->base;
+    v.warnings = &c->warnings;
+    if (c->memory != 0) {
+        uint64_t used = svo_limit_in_use(limit);
+        if (used >= c->memory)
+            return svo_fail(err, SVO_LIMIT, "the mesh alone takes %llu MB, more than --memory allows", (unsigned long long)(used / 1000000));
+        v.memory = c->memory - used;
+    }
+    cli_phase(c, "plan");
+    svo_tree_info info;
+    SVO_TRY(svo_voxelize_plan(mesh, &v, &info, err));
+    json_t *how = json_object();
+    if (o->has_size) cli_put_f64(how, "voxel_size", o->voxel_size);
+    else cli_put_u64(how, "depth", o->depth);
+    cli_put_text(how, "surface", surfaces[o->surface]);
+    cli_put_text(how, "fill", fills[o->fill]);
+    cli_put_text(how, "attributes", o->attributes);
+    char *provenance = cli_provenance(c, how, json_incref(inputs));
+    if (provenance == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    fmt_output *out = NULL;
+    fmt_svo_writer *writer = NULL;
+    svo_result r = fmt_output_open(c->output, c->force, &out, err);
+    if (r == SVO_OK) r = fmt_svo_writer_begin(out, &info, provenance, (int)o->level, &limit->base, &writer, err);
+    free(provenance);
+    svo_voxelize_report report = {0};
+    if (r == SVO_OK) {
+        cli_phase(c, "voxelize");
+        svo_chunk_sink sink = fmt_svo_writer_sink(writer);
+        r = svo_voxelize(mesh, &v, &info, &sink, &report, err);
+    }
+    uint64_t bytes = 0;
+    if (r == SVO_OK) {
+        cli_phase(c, "write");
+        r = fmt_svo_writer_end(writer, NULL, err);
+        writer = NULL;
+    }
+    if (r == SVO_OK) {
+        bytes = fmt_output_offset(out);
+        r = fmt_output_commit(out, err);
+        out = NULL;
+    }
+    fmt_svo_writer_discard(writer);
+    fmt_output_discard(out);
+    if (r != SVO_OK) return r;
+    report_output(c, &info, &report, bytes);
+    cli_verbose(c, "%llu voxels at depth %u, %llu bytes", (unsigned long long)report.counts.nodes[info.depth], info.depth, (unsigned long long)bytes);
+    return SVO_OK;
+}
+
+static svo_result run(cli *c, const tool_options *o, svo_error *err)
+{
+    /* What cannot be done is said before a large mesh is read. */
+    if (o->fill == SVO_FILL_SOLID) return svo_fail(err, SVO_UNSUPPORTED, "--fill solid is not available; only the surface can be voxelized");
+    svo_limit_allocator limit;
+    svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
+    svo_mesh mesh = {0};
+    json_t *inputs = json_array();
+    cli_phase(c, "import");
+    /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
+    svo_result r = import_all(c, &limit.base, &mesh, inputs, err);
+    if (r == SVO_OK) {
+        report_input(c, &mesh);
+        r = write_tree(c, o, &mesh, inputs, &limit, err);
+        svo_mesh_free(&mesh);
+    }
+    json_decref(inputs);
+    cli_phase(c, NULL);
+    if (r == SVO_OUT_OF_MEMORY && c->memory != 0) {
+        char why[200];
+        strncpy(why, err != NULL ? err->message : "", sizeof why - 1);
+        why[sizeof why - 1] = 0;
+        r = svo_fail(err, SVO_LIMIT, "--memory is too small: %s", why);
+    }
+    return r;
+}
+
+int main(int argc, char **argv)
+{
+    tool_options o = {.depth = 10, .attributes = "auto", .level = 3};
+    cli_option options[] = {
+        {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth, .no_default = true,
+         .help = "The longest side of the bounding box becomes 2^D voxels."},
+        {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-90, .max = 1e90, .seen = &o.has_size, .no_default = true,
+         .help = "Edge of a voxel in the mesh's units, instead of --depth; the grid lies on multiples of S."},
+        {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "HOW", .help = "Voxels of the surface, or of the inside too (not available)."},
+        {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "HOW",
+         .help = "conservative: every voxel that the surface touches; thin: those whose centre lines it crosses."},
+        {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
+         .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material."},
+        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level of the file (zstd)."},
+    };
+    cli_tool tool = {
+        .name = "svo-voxelize",
+        .summary = "Turn meshes into a sparse voxel octree with attributes.",
+        .synopsis = "IN... -o OUT.svo (--depth D | --voxel-size S) [options]",
+        .options = options,
+        .option_count = sizeof options / sizeof *options,
+        .details = "Reads .gltf .glb .obj .ply .stl .off .drc; several inputs are placed together in one grid. Vertices are snapped to 1/128 voxel, "
+                   "then the voxels are exactly those that the triangles meet.",
+        .example = "svo-voxelize model.glb -o model.svo --depth 10\nsvo-voxelize a.obj b.obj -o both.svo --voxel-size 0.01 --attributes none",
+        .min_inputs = 1,
+        .max_inputs = -1,
+        .has_output = true,
+    };
+    cli c;
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
+    char bad[40];
+    if (strstr(o.attributes, "bone") != NULL)
+        return cli_usage(&c, "a bone channel is made by svo-skeleton --bind");
+    if (!parse_attributes(o.attributes, &o.channels, bad)) return cli_usage(&c, "--attributes: \"%s\" is no channel", bad);
+    for (int i = 0; i < c.input_count; i++)
+        if (strcmp(c.inputs[i], "-") == 0) return cli_usage(&c, "meshes are read from files, not from stdin");
+    svo_error err = {0};
+    svo_result r = run(&c, &o, &err);
+    return cli_end(&c, r, &err);
+}
