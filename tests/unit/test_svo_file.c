@@ -1,4 +1,5 @@
 /* .svo files: what goes in comes out, through files and pipes, with the same bytes for any number of threads. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -86,5 +87,92 @@ TEST(the_bytes_do_not_depend_on_threads)
     }
     svo_buffer_free(&one);
     svo_buffer_free(&other);
+    tree_free(&t);
+}
+
+TEST(a_pipe_gets_the_same_bytes_as_a_file)
+{
+    uint64_t seed = 6;
+    tree t;
+    tree_random(&t, 9, 2, &seed); /* small enough for a pipe's buffer */
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    tree_write(&t, 1, &file, NULL);
+    int ends[2];
+    char path[64];
+    CHECK(file.size < 60000 && pipe(ends) == 0);
+    snprintf(path, sizeof path, "/dev/fd/%d", ends[1]);
+    fmt_output *out;
+    fmt_svo_writer *w;
+    CHECK_OK(fmt_output_open(path, false, &out, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &t.info, "{\"tool\":\"test\"}", 0, NULL, &w, &err));
+    CHECK_OK(tree_feed(&t, 3, fmt_svo_writer_sink(w), &err));
+    CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    close(ends[1]);
+    /* and it is read from the pipe */
+    fmt_bytes b;
+    snprintf(path, sizeof path, "/dev/fd/%d", ends[0]);
+    CHECK_OK(fmt_bytes_open(path, 0, NULL, &b, &err));
+    CHECK(b.size == file.size && memcmp(b.data, file.data, b.size) == 0);
+    fmt_bytes_close(&b);
+    close(ends[0]);
+    svo_buffer_free(&file);
+    tree_free(&t);
+}
+
+/* Read by a pipeline, as tools do. */
+typedef struct parallel { svo_chunk_source source; uint64_t voxels; } parallel;
+typedef struct parallel_item { svo_buffer packed, storage; svo_chunk chunk; } parallel_item;
+static svo_result parallel_produce(void *user, void *item, bool *more, svo_error *e)
+{
+    parallel *p = user;
+    parallel_item *i = item;
+    return p->source.fetch(p->source.user, &i->packed, more, e);
+}
+static svo_result parallel_work(void *user, void *item, uint32_t worker, svo_error *e)
+{
+    (void)worker;
+    parallel *p = user;
+    parallel_item *i = item;
+    return p->source.decode(p->source.user, &i->packed, &i->storage, &i->chunk, e);
+}
+static svo_result parallel_commit(void *user, void *item, svo_error *e)
+{
+    (void)e;
+    parallel *p = user;
+    p->voxels += ((parallel_item *)item)->chunk.voxel_count;
+    return SVO_OK;
+}
+static void parallel_destroy(void *user, void *item)
+{
+    (void)user;
+    parallel_item *i = item;
+    svo_buffer_free(&i->packed);
+    svo_buffer_free(&i->storage);
+}
+
+TEST(many_threads_decode_one_stream)
+{
+    uint64_t seed = 8;
+    tree t;
+    tree_random(&t, 12, 1, &seed);
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    tree_write(&t, 4, &file, NULL);
+    for (uint32_t threads = 1; threads <= 7; threads += 3) {
+        fmt_input *in;
+        fmt_svo_reader *r;
+        CHECK_OK(fmt_input_open_memory(file.data, file.size, &in, &err));
+        CHECK_OK(fmt_svo_reader_open(in, NULL, &r, &err));
+        parallel p = {fmt_svo_reader_source(r), 0};
+        svo_pipeline line = {.threads = threads, .item_size = sizeof(parallel_item), .user = &p, .produce = parallel_produce,
+                             .work = parallel_work, .commit = parallel_commit, .destroy = parallel_destroy};
+        CHECK_OK(svo_pipeline_run(&line, &err));
+        CHECK_U64(p.voxels, t.count);
+        fmt_svo_reader_close(r);
+        fmt_input_close(in);
+    }
+    svo_buffer_free(&file);
     tree_free(&t);
 }
