@@ -251,6 +251,12 @@ svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk,
 {
     uint64_t at = chunk->offset - FMTI_BLOCK;
     if (chunk->codec != FMT_CODEC_NONE) return fmt_chunk_fail(err, SVO_INVALID_DATA, chunk->type, at, "compressed, but this chunk must be stored as it is (CON-08)");
+    return fmt_container_stored(c, chunk, bytes, err);
+}
+
+svo_result fmt_container_stored(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err)
+{
+    uint64_t at = chunk->offset - FMTI_BLOCK;
     if (XXH3_64bits(c->data + chunk->offset, (size_t)chunk->stored_size) != chunk->hash)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, chunk->type, at, "the content is damaged: wrong hash (CON-07)");
     *bytes = c->data + chunk->offset;

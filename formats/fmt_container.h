@@ -88,6 +88,8 @@ void fmt_container_close(fmt_container *c);
 const fmt_chunk *fmt_container_find(const fmt_container *c, uint32_t type, bool any_id, uint64_t id);
 /* Checks the hash of a stored chunk (codec NONE) and returns its bytes in place; SVO_INVALID_DATA on a mismatch. */
 svo_result fmt_container_payload(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err);
+/* The same with any codec: the bytes are as stored, stored_size of them. */
+svo_result fmt_container_stored(const fmt_container *c, const fmt_chunk *chunk, const uint8_t **bytes, svo_error *err);
 
 /* Bytes by type of chunk, in order of first appearance, the table included; types beyond `capacity` are summed in the
  * last one, with type 0. The `bytes` sum to the file's size less 128 (header and footer). Returns how many. */

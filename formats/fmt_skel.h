@@ -14,7 +14,7 @@ extern "C" {
 svo_result fmt_skel_write(fmt_output *out, const skel_skeleton *s, const char *provenance, svo_error *err);
 
 /* Read a whole .skel (64-byte aligned bytes, borrowed for the call) and check every rule. Of the report, what the file
- * holds is filled in. *provenance (may be NULL) is the JSON text of META or "", freed with svo_string_free(a, ...). */
+ * holds is filled in. *provenance (may be NULL) is the JSON text of META or "", freed with fmt_meta_free(a, ...). */
 svo_result fmt_skel_read(const uint8_t *data, uint64_t size, const svo_allocator *a, skel_skeleton *out, char **provenance,
                          svo_error *err);
 
