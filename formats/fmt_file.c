@@ -12,6 +12,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "fmti_cleanup.h"
+
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "svokit maps its files in place and runs on little-endian machines only"
 #endif
@@ -123,6 +125,7 @@ static svo_result open_target(fmt_output *o, const char *path, svo_error *err)
         o->sink = SINK_NAMED;
         int code = with_fresh_name(o, create_named);
         if (code != 0) return io_fail(err, path, "create the file", code);
+        fmti_temporary_remember(o->temporary);
     }
     if (old_mode != 0 && fchmod(o->fd, old_mode) != 0) { /* not worth failing for */
     }
@@ -236,6 +239,7 @@ uint64_t fmt_output_offset(const fmt_output *o) { return o->offset; }
 
 static void release(fmt_output *o)
 {
+    if (o->sink == SINK_NAMED) fmti_temporary_forget(o->temporary);
     if (o->close_fd && o->fd >= 0) close(o->fd);
     svo_free(NULL, o, 1, sizeof *o);
 }

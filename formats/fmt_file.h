@@ -31,6 +31,9 @@ uint64_t fmt_output_offset(const fmt_output *o);
 svo_result fmt_output_commit(fmt_output *o, svo_error *err);
 /* Throw away and free; NULL is fine. What has gone to a pipe or a device stays there. */
 void fmt_output_discard(fmt_output *o);
+/* Remove the temporary files of all outputs that are open in this process. Async-signal-safe: for a handler that then
+ * ends the process. (Where O_TMPFILE works there are none.) */
+void fmt_output_remove_temporaries(void);
 
 /* A whole file, mapped read-only where it is a regular file, else read into memory (at most max_bytes, 0 = no limit;
  * more is SVO_LIMIT; a mapped file costs no memory and is not limited). 64-byte aligned.

@@ -325,11 +325,30 @@ static void fill_standard_descriptors(void)
         if (fcntl(fd, F_GETFD) == -1 && errno == EBADF && open("/dev/null", fd == 0 ? O_RDONLY : O_WRONLY) != fd) _exit(2);
 }
 
+/* An interrupted run leaves nothing behind: unfinished outputs have no name, or are removed here. */
+static void on_signal(int number)
+{
+    fmt_output_remove_temporaries();
+    raise(number); /* the handler is reset: ends the process as if there were none */
+}
+
+static void set_signals(void)
+{
+    signal(SIGPIPE, SIG_IGN); /* a reader that has gone is an I/O error */
+    static const int ends[] = {SIGHUP, SIGINT, SIGTERM};
+    for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {
+        struct sigaction action = {.sa_handler = on_signal, .sa_flags = (int)SA_RESETHAND}, old;
+        sigemptyset(&action.sa_mask);
+        /* ignored by nohup and the like: stays so */
+        if (sigaction(ends[i], NULL, &old) == 0 && old.sa_handler != SIG_IGN) sigaction(ends[i], &action, NULL);
+    }
+}
+
 int cli_begin(cli *c, const cli_tool *tool, int argc, char **argv)
 {
     memset(c, 0, sizeof *c);
     fill_standard_descriptors();
-    signal(SIGPIPE, SIG_IGN);
+    set_signals();
     c->tool = tool;
     c->started = c->phase_started = svo_seconds();
     c->json = json_object();
