@@ -388,9 +388,11 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
     report->channel_count = b->info.channel_count;
     for (uint32_t l = 0; l < b->brick_level; l++) report->unique[l] = b->nodes[l].count;
     report->unique[b->brick_level] = b->bricks.count;
+    if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "geometry");
     double read = svo_seconds();
     report->seconds_read = read - b->started;
     if (b->has_previous) SVO_TRY(svoi_layout_plain(p, b->nodes, &b->bricks, err));
+    if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "attributes");
     double geometry = svo_seconds();
     report->seconds_geometry = geometry - read;
     for (uint32_t l = 0; l < b->brick_level; l++) report->geometry_bytes += p->words[l].size;
@@ -455,7 +457,8 @@ static svo_result build_produce(void *user, void *p, bool *more, svo_error *err)
     build *u = user;
     item *it = p;
     it->packed.allocator = it->storage.allocator = u->b->a;
-    return u->source->fetch(u->source->user, &it->packed, more, err);
+    svo_result r = u->source->fetch(u->source->user, &it->packed, more, err);
+    return r == SVO_OUT_OF_MEMORY ? svoi_no_memory(u->b->packed, "reading a chunk", err) : r;
 }
 
 static svo_result build_work(void *user, void *p, uint32_t worker, svo_error *err)

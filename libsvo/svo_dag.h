@@ -21,6 +21,9 @@ typedef struct svo_dag_options {
     uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT */
     const svo_allocator *allocator;
     svo_warnings *warnings;
+    /* Called when another part of the work begins: "geometry" (laying out), "attributes" (packing). May be NULL. */
+    void (*phase)(void *user, const char *name);
+    void *phase_user;
 } svo_dag_options;
 svo_dag_options svo_default_dag_options(void); /* lod, lossless */
 

@@ -1,0 +1,273 @@
+/* svo-compress: .svo -> .svdag. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "cli.h"
+#include "fmt_svdag.h"
+#include "fmt_svo.h"
+#include "svo_dag.h"
+
+enum { GEOMETRY_SVDAG, GEOMETRY_FAST, GEOMETRY_SYMMETRIC, GEOMETRY_BEST };
+static const char *const geometry_names[] = {"svdag", "fast", "symmetric", "best", NULL};
+static const char *const lod_names[] = {"all", "none", NULL};
+
+typedef struct arguments {
+    int geometry, lod;
+    const char *color, *normal;
+} arguments;
+
+typedef struct run {
+    cli *c;
+    const arguments *args;
+    svo_dag_options options;
+    svo_packed *packed;
+    svo_dag_report report;
+    char *provenance;
+    uint64_t bytes_in, bytes_out;
+} run;
+
+/* "lossless", BITS, or "<key>=X". */
+static bool parse_quality(const char *text, const char *key, uint32_t min_bits, uint32_t max_bits, uint32_t *bits, double *bound)
+{
+    char *end;
+    size_t n = strlen(key);
+    if (strcmp(text, "lossless") == 0) return true;
+    if (strncmp(text, key, n) == 0 && text[n] == '=') {
+        const char *number = text + n + 1;
+        *bound = strtod(number, &end);
+        return end != number && *end == 0 && isfinite(*bound) && *bound > 0;
+    }
+    if (text[0] < '0' || text[0] > '9') return false;
+    unsigned long v = strtoul(text, &end, 10);
+    *bits = (uint32_t)v;
+    return *end == 0 && v >= min_bits && v <= max_bits;
+}
+
+static void enter_phase(void *user, const char *name) { cli_phase(user, name); }
+
+/* META: what made this, from what, and how that was made. */
+static svo_result make_provenance(run *r, const fmt_svo_reader *reader, svo_error *err)
+{
+    uint8_t hash[16];
+    char hex[33];
+    static const char digits[] = "0123456789abcdef";
+    fmt_svo_reader_content_hash(reader, hash);
+    for (int i = 0; i < 16; i++) hex[2 * i] = digits[hash[i] >> 4], hex[2 * i + 1] = digits[hash[i] & 15];
+    hex[32] = 0;
+    json_t *input = cli_provenance_input(r->c->inputs[0], hex), *inputs = json_array();
+    json_t *source = json_loads(fmt_svo_reader_provenance(reader), 0, NULL);
+    if (source != NULL) json_object_set_new(input, "provenance", source);
+    json_array_append_new(inputs, input);
+    r->provenance = cli_provenance(r->c, cli_options_json(r->c, false), inputs);
+    return r->provenance != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+}
+
+static svo_result read_and_build(run *r, svo_error *err)
+{
+    fmt_input *in;
+    fmt_svo_reader *reader = NULL;
+    SVO_TRY(fmt_input_open(r->c->inputs[0], &in, err));
+    svo_result result = fmt_svo_reader_open(in, r->options.allocator, &reader, err);
+    if (result == SVO_OK) {
+        svo_chunk_source source = fmt_svo_reader_source(reader);
+        result = svo_dag_build(fmt_svo_reader_info(reader), &source, &r->options, &r->packed, &r->report, err);
+    }
+    if (result == SVO_OK) result = make_provenance(r, reader, err);
+    r->bytes_in = fmt_input_offset(in);
+    fmt_svo_reader_close(reader);
+    fmt_input_close(in);
+    return result;
+}
+
+/* --- report ------------------------------------------------------------------------------------------------------ */
+
+static void add_section(json_t *sections, const char *type, int64_t number, const char *channel, uint64_t bytes)
+{
+    json_t *s = json_object();
+    cli_put_text(s, "type", type);
+    if (channel != NULL) cli_put_text(s, "channel", channel);
+    else if (number >= 0) cli_put_u64(s, "level", (uint64_t)number);
+    cli_put_u64(s, "bytes", bytes);
+    json_array_append_new(sections, s);
+}
+
+static json_t *sections(const svo_view *v)
+{
+    json_t *all = json_array();
+    for (uint32_t l = 0; l < v->brick_level && !v->empty; l++) add_section(all, "NODE", l, NULL, 4 * v->levels[l].word_count);
+    if (!v->empty) add_section(all, "BRCK", v->brick_level, NULL, 8 * v->brick_count);
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        const svo_view_channel *c = &v->channels[i];
+        uint32_t stride = svo_channel_stride(c->channel.kind);
+        if (c->encoding == SVO_ENCODING_RAW) add_section(all, "ARAW", -1, c->channel.name, v->attribute_count * stride);
+        if (c->encoding != SVO_ENCODING_BLOCKS) continue;
+        add_section(all, "ATBL", -1, c->channel.name, c->table_count * stride);
+        add_section(all, "ADIR", -1, c->channel.name, 8 * c->superblock_count);
+        add_section(all, "APAY", -1, c->channel.name, c->payload_size);
+    }
+    return all;
+}
+
+static void report_errors(run *r, const svo_view *v)
+{
+    json_t *errors = cli_section(r->c, "errors");
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        const svo_dag_channel_report *ch = &r->report.channels[i];
+        const char *unit = v->channels[i].channel.kind == SVO_KIND_COLOR_SRGB8     ? "delta E CIE94"
+                           : v->channels[i].channel.kind == SVO_KIND_NORMAL_OCT32 ? "degrees"
+                                                                                   : "value";
+        json_t *e = json_object();
+        cli_put_text(e, "unit", unit);
+        cli_put_f64(e, "mean", ch->error_mean);
+        cli_put_f64(e, "max", ch->error_max);
+        json_object_set_new(errors, ch->name, e);
+    }
+}
+
+/* What is not in the file, and what it would have taken stored plainly. */
+static json_t *left_out(const run *r, const svo_view *v, uint64_t nodes)
+{
+    json_t *all = json_array();
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        uint32_t stride = svo_channel_stride(v->channels[i].channel.kind);
+        if (r->report.channels[i].left_out) {
+            json_t *o = json_object();
+            cli_put_text(o, "what", "channel that is the same everywhere");
+            cli_put_text(o, "channel", r->report.channels[i].name);
+            cli_put_u64(o, "bytes_saved", v->attribute_count * stride);
+            json_array_append_new(all, o);
+        } else if (!v->lod) {
+            json_t *o = json_object();
+            cli_put_text(o, "what", "attributes of inner nodes");
+            cli_put_text(o, "channel", r->report.channels[i].name);
+            cli_put_u64(o, "bytes_saved", (nodes - v->attribute_count) * stride);
+            json_array_append_new(all, o);
+        }
+    }
+    return all;
+}
+
+static void report(run *r, double seconds)
+{
+    const svo_view *v = svo_packed_view(r->packed);
+    uint64_t nodes = 0, voxels = v->nodes[v->depth], plain = 0;
+    json_t *in = cli_section(r->c, "input"), *out = cli_section(r->c, "output"), *levels = json_array(), *channels = json_array();
+    for (uint32_t l = 0; l <= v->depth; l++) {
+        json_t *level = json_object();
+        nodes += v->nodes[l];
+        cli_put_u64(level, "level", l);
+        cli_put_u64(level, "nodes", v->nodes[l]);
+        /* virtual levels above a tree of depth < 2 are left away; below the bricks nothing is shared for itself */
+        if (v->depth >= 2 && l <= v->brick_level) cli_put_u64(level, "unique", r->report.unique[l]);
+        json_array_append_new(levels, level);
+        if (l < v->depth) plain += v->nodes[l];
+    }
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        const svo_dag_channel_report *ch = &r->report.channels[i];
+        static const char *const encodings[] = {"constant", "raw", "blocks"};
+        json_t *o = json_object();
+        cli_put_text(o, "name", ch->name);
+        cli_put_text(o, "encoding", encodings[v->channels[i].encoding]);
+        cli_put_u64(o, "bytes", ch->bytes);
+        cli_put_u64(o, "distinct_in", ch->distinct_in);
+        cli_put_u64(o, "distinct_out", ch->distinct_out);
+        json_array_append_new(channels, o);
+        if (!ch->left_out) plain += v->attribute_count * svo_channel_stride(v->channels[i].channel.kind);
+    }
+    cli_put_u64(in, "bytes", r->bytes_in);
+    cli_put_u64(in, "chunks", r->report.counts.chunks);
+    cli_put_u64(in, "depth", v->depth);
+    cli_put_u64(in, "nodes", nodes);
+    cli_put_u64(in, "voxels", voxels);
+    cli_put_u64(out, "bytes", r->bytes_out);
+    cli_put_u64(out, "geometry_bytes", r->report.geometry_bytes);
+    cli_put_u64(out, "attribute_bytes", r->report.attribute_bytes);
+    cli_put_u64(out, "attributes", v->attribute_count);
+    cli_put_f64(out, "bytes_per_voxel", voxels != 0 ? (double)r->bytes_out / (double)voxels : NAN);
+    cli_put_f64(out, "bytes_per_node", nodes != 0 ? (double)r->bytes_out / (double)nodes : NAN);
+    cli_put_u64(out, "plain_svo_bytes", plain);
+    cli_put_f64(out, "ratio_to_plain_svo", plain != 0 ? (double)r->bytes_out / (double)plain : NAN);
+    json_object_set_new(out, "levels", levels);
+    json_object_set_new(out, "sections", sections(v));
+    json_object_set_new(out, "channels", channels);
+    json_object_set_new(out, "left_out", left_out(r, v, nodes));
+    report_errors(r, v);
+    cli_put_f64(cli_section(r->c, "speed"), "nodes_per_second", seconds > 0 ? (double)nodes / seconds : NAN);
+    cli_put_u64(cli_section(r->c, "memory"), "peak_bytes", r->report.peak_bytes);
+    cli_info(r->c, "%llu voxels, %llu nodes -> %llu bytes (geometry %llu, attributes %llu): %.3f bytes a voxel, %.3f a node, %.2fx plain SVO",
+             (unsigned long long)voxels, (unsigned long long)nodes, (unsigned long long)r->bytes_out,
+             (unsigned long long)r->report.geometry_bytes, (unsigned long long)r->report.attribute_bytes,
+             voxels != 0 ? (double)r->bytes_out / (double)voxels : 0, nodes != 0 ? (double)r->bytes_out / (double)nodes : 0,
+             plain != 0 ? (double)r->bytes_out / (double)plain : 0);
+    for (uint32_t i = 0; i < v->channel_count; i++)
+        if (r->report.channels[i].error_max > 0)
+            cli_info(r->c, "%s: error mean %.3f, max %.3f %s", r->report.channels[i].name, r->report.channels[i].error_mean,
+                     r->report.channels[i].error_max, v->channels[i].channel.kind == SVO_KIND_COLOR_SRGB8 ? "delta E (CIE94)" : "degrees");
+}
+
+static svo_result compress(run *r, svo_error *err)
+{
+    fmt_output *out;
+    double started = svo_seconds();
+    cli_phase(r->c, "open");
+    SVO_TRY(fmt_output_open(r->c->output, r->c->force, &out, err));
+    cli_phase(r->c, "read"); /* and average, and merge: chunk by chunk */
+    svo_result result = read_and_build(r, err);
+    cli_phase(r->c, "write");
+    if (result == SVO_OK) result = fmt_svdag_write(out, svo_packed_view(r->packed), r->provenance, err);
+    r->bytes_out = fmt_output_offset(out);
+    if (result != SVO_OK) {
+        fmt_output_discard(out);
+        return result;
+    }
+    SVO_TRY(fmt_output_commit(out, err));
+    cli_phase(r->c, NULL);
+    report(r, svo_seconds() - started);
+    return SVO_OK;
+}
+
+int main(int argc, char **argv)
+{
+    arguments args = {.geometry = GEOMETRY_FAST, .lod = 0, .color = "lossless", .normal = "lossless"};
+    const cli_option options[] = {
+        {.name = "geometry", .kind = CLI_CHOICE, .value = &args.geometry, .argument = "MODE", .choices = geometry_names,
+         .help = "How geometry is packed: svdag and fast merge equal subtrees and use layout 1; symmetric and best are not in this version."},
+        {.name = "color", .kind = CLI_TEXT, .value = &args.color, .argument = "lossless|BITS|deltaE=X",
+         .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94."},
+        {.name = "normal", .kind = CLI_TEXT, .value = &args.normal, .argument = "lossless|BITS|deg=X",
+         .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees."},
+        {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|none", .choices = lod_names,
+         .help = "Attributes of inner nodes: averages of what is below, or none."},
+    };
+    const cli_tool tool = {
+        .name = "svo-compress", .summary = "Pack a sparse voxel octree so that it can be traversed in place.",
+        .synopsis = "IN.svo -o OUT.svdag [--geometry svdag|symmetric|fast|best] [--color lossless|BITS|deltaE=X] [--normal lossless|BITS|deg=X] [--lod all|none]",
+        .options = options, .option_count = sizeof options / sizeof options[0],
+        .details = "IN may be - for stdin, OUT may be - for stdout. Errors are measured over all attributes, inner nodes included, and go to the report.",
+        .example = "svo-compress model.svo -o model.svdag --color 12 --normal deg=2 --report model.json",
+        .min_inputs = 1, .max_inputs = 1, .has_output = true};
+    cli c;
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    run r = {.c = &c, .args = &args, .options = svo_default_dag_options()};
+    if (!parse_quality(args.color, "deltaE", 1, 16, &r.options.color_bits, &r.options.color_delta_e))
+        return cli_usage(&c, "--color takes lossless, a number of bits from 1 to 16, or deltaE=X with X above 0, not '%s'", args.color);
+    if (!parse_quality(args.normal, "deg", 4, 32, &r.options.normal_bits, &r.options.normal_degrees) || r.options.normal_bits % 2 != 0)
+        return cli_usage(&c, "--normal takes lossless, an even number of bits from 4 to 32, or deg=X with X above 0, not '%s'", args.normal);
+    r.options.lod = args.lod == 0;
+    r.options.threads = (uint32_t)c.threads;
+    r.options.memory = c.memory;
+    r.options.warnings = &c.warnings;
+    r.options.phase = enter_phase;
+    r.options.phase_user = &c;
+    svo_error err = {0};
+    svo_result result;
+    if (args.geometry == GEOMETRY_SYMMETRIC || args.geometry == GEOMETRY_BEST)
+        result = svo_fail(&err, SVO_UNSUPPORTED, "--geometry %s is not in this version; use fast or svdag", geometry_names[args.geometry]);
+    else
+        result = compress(&r, &err);
+    svo_packed_free(r.packed);
+    free(r.provenance);
+    return cli_end(&c, result, &err);
+}
