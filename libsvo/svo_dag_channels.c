@@ -287,7 +287,7 @@ static svo_result pack_distinct(svo_packed *p, uint32_t channel, svoi_values *va
     svo_view_channel *c = &p->view.channels[channel];
     for (uint64_t i = 0; i < d->count; i++) mapped[i] = d->value[i];
     svo_quantize_result q = {0};
-    svo_result r = svo_quantize(c->channel.kind, d->value, d->times, d->count, options, mapped, &q, err);
+    svo_result r = svo_quantize(c->channel.kind, d->value, d->times, d->count, options, &p->memory.base, mapped, &q, err);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "quantisation", err);
     if (r != SVO_OK) return r;
     report->error_mean = q.error_mean;

@@ -16,11 +16,15 @@ typedef struct svo_quantize_result {
 } svo_quantize_result;
 
 /* Map `count` distinct values (little-endian bytes as u32), ascending, which occur `times` each, to the values that are
- * kept. Kinds or options without reduction map each value to itself. Deterministic.
+ * kept. Kinds or options without reduction map each value to itself. The result does not depend on threads.
  * With options->color_bits at most 2^bits different values remain; with color_delta_e no colour is farther than that
  * from what it became; with normal_bits or normal_degrees the same for normals (degrees). */
 svo_result svo_quantize(svo_channel_kind kind, const uint32_t *values, const uint64_t *times, uint64_t count,
-                        const svo_dag_options *options, uint32_t *mapped, svo_quantize_result *result, svo_error *err);
+                        const svo_dag_options *options, const svo_allocator *a, uint32_t *mapped, svo_quantize_result *result,
+                        svo_error *err);
+
+/* A normal on the octahedral grid of bits / 2 a component: the grid point nearest in angle of the four around it. */
+uint32_t svo_quantize_normal(uint32_t value, uint32_t bits);
 
 #ifdef __cplusplus
 }
