@@ -50,7 +50,7 @@ uint32_t svo_quantize_normal(uint32_t value, uint32_t bits)
 {
     int32_t m = (1 << (bits / 2 - 1)) - 1;
     if (m >= 32767) return value;
-    double n[3], best = -2;
+    double n[3], best = INFINITY;
     decode(value, n);
     double u = (int16_t)(uint16_t)value / 32767.0 * m, v = (int16_t)(uint16_t)(value >> 16) / 32767.0 * m;
     int32_t fu = (int32_t)floor(u), fv = (int32_t)floor(v);
@@ -59,10 +59,10 @@ uint32_t svo_quantize_normal(uint32_t value, uint32_t bits)
         int32_t cu = fu + (i & 1), cv = fv + (i >> 1);
         if (cu < -m || cu > m || cv < -m || cv > m) continue;
         uint32_t code = grid_code(cu, m) | grid_code(cv, m) << 16;
-        double d[3];
+        double d[3], chord = 0; /* not the dot product, which cannot tell small angles apart in floats */
         decode(code, d);
-        double dot = d[0] * n[0] + d[1] * n[1] + d[2] * n[2];
-        if (dot > best) best = dot, out = code;
+        for (int k = 0; k < 3; k++) chord += (d[k] - n[k]) * (d[k] - n[k]);
+        if (chord < best) best = chord, out = code;
     }
     return out;
 }
