@@ -11,7 +11,8 @@
 #include "fmt_svo.h"
 #include "fmt_utf8.h"
 
-#define DEFAULT_DEPTH 9u
+#define DEFAULT_DEPTH 10u
+#define COARSE_DEPTH 3u /* assets below this get a warning */
 #define PI 3.14159265358979323846
 
 /* One asset of the source and what keeps its octree alive. */
@@ -232,6 +233,18 @@ static svo_result needed_depth(const fmt_scene_build *b, const entry *e, double 
     return SVO_OK;
 }
 
+static void warn_coarse(const fmt_scene_build *b)
+{
+    uint32_t coarse = 0;
+    for (uint32_t i = 0; i < b->count; i++) {
+        const entry *e = &b->entries[i];
+        coarse += e->is_mesh && e->view != NULL && !e->view->empty && e->view->depth < COARSE_DEPTH;
+    }
+    if (coarse != 0)
+        svo_warn(b->options.voxelize.warnings, "%u of the meshes are less than %u voxels large at the scene's voxel size; a greater depth shows more of them",
+                 coarse, 1u << COARSE_DEPTH);
+}
+
 static double scene_voxel(const fmt_scene_build *b)
 {
     if (b->options.voxel_size > 0) return b->options.voxel_size;
@@ -336,6 +349,7 @@ static svo_result load_description(fmt_scene_build *b, const char *path, const f
     if (meshes != 0) phase(b, "voxelize");
     for (uint32_t i = 0; i < b->count; i++)
         if (b->entries[i].is_mesh) SVO_TRY(about(b->entries[i].info.file, build_mesh_file(b, &b->entries[i], voxel, measure, err), err));
+    if (measure) warn_coarse(b);
     b->input.place_count = j->place_count;
     b->input.places = j->places;
     b->input.names = j->names;
@@ -400,6 +414,38 @@ static svo_mesh one_shape(svo_mesh *mesh, uint32_t shape, svo_instance *instance
     return one;
 }
 
+static bool same_bytes(const void *a, const void *b, uint64_t size)
+{
+    return (a == NULL) == (b == NULL) && (a == NULL || size == 0 || memcmp(a, b, (size_t)size) == 0);
+}
+
+/* The same in everything that voxels are made of. */
+static bool same_shape(const svo_shape *a, const svo_shape *b)
+{
+    if (a->part_count != b->part_count) return false;
+    for (uint32_t p = 0; p < a->part_count; p++) {
+        const svo_part *x = &a->parts[p], *y = &b->parts[p];
+        uint64_t n = x->vertex_count;
+        if (n != y->vertex_count || x->triangle_count != y->triangle_count || x->material != y->material) return false;
+        if (!same_bytes(x->positions, y->positions, n * 24) || !same_bytes(x->indices, y->indices, x->triangle_count * 12) ||
+            !same_bytes(x->normals, y->normals, n * 12) || !same_bytes(x->colors, y->colors, n * 16))
+            return false;
+        for (uint32_t k = 0; k < SVO_MAX_UV_SETS; k++)
+            if (!same_bytes(x->uvs[k], y->uvs[k], n * 8)) return false;
+    }
+    return true;
+}
+
+/* The octree of an earlier shape that is the same at the same depth, or NULL. Exporters write copies of a mesh often;
+ * packing merges their octrees anyhow, but building each takes time. */
+static const svo_view *built_before(const fmt_scene_build *b, uint32_t i)
+{
+    for (uint32_t k = 0; k < i; k++)
+        if (b->entries[k].packed != NULL && b->entries[k].info.depth == b->entries[i].info.depth && same_shape(&b->mesh.shapes[k], &b->mesh.shapes[i]))
+            return b->entries[k].view;
+    return NULL;
+}
+
 static svo_result load_mesh_scene(fmt_scene_build *b, const char *path, const fmt_bytes *file, svo_error *err)
 {
     fmt_import_options import = import_options(b, false);
@@ -434,10 +480,11 @@ static svo_result load_mesh_scene(fmt_scene_build *b, const char *path, const fm
         if (!e->used) continue;
         svo_instance instance;
         svo_mesh one = one_shape(&b->mesh, i, &instance);
-        uint32_t depth = 0;
-        SVO_TRY(needed_depth(b, e, voxel, &depth, err));
-        SVO_TRY(build_mesh(b, e, &one, depth, err));
+        SVO_TRY(needed_depth(b, e, voxel, &e->info.depth, err));
+        e->view = built_before(b, i);
+        if (e->view == NULL) SVO_TRY(build_mesh(b, e, &one, e->info.depth, err));
     }
+    warn_coarse(b);
     svo_mesh_free(&b->mesh);
     return SVO_OK;
 }

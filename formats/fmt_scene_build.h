@@ -23,7 +23,7 @@ typedef struct fmt_scene_build_options {
     void (*phase)(void *user, const char *name); /* called when a phase begins: read, voxelize, pack; may be NULL */
     void *user;
 } fmt_scene_build_options;
-fmt_scene_build_options fmt_default_scene_build_options(void); /* depth 9 */
+fmt_scene_build_options fmt_default_scene_build_options(void); /* depth 10 */
 
 typedef struct fmt_scene_build_asset {
     const char *name, *file; /* file: as in the description, or the last part of the scene's own path */

@@ -188,7 +188,7 @@ static svo_result classify(packer *p, svo_error *err)
 /* ---- 3. equal assets ---- */
 
 #define COMPARE(x, y) if ((x) != (y)) return (x) < (y) ? -1 : 1
-static int compare_bytes(const void *a, const void *b, uint64_t size) { return size == 0 ? 0 : memcmp(a, b, (size_t)size); }
+static int compare_bytes(const void *a, const void *b, uint64_t size) { return size == 0 || a == b ? 0 : memcmp(a, b, (size_t)size); }
 
 static int compare_channels(const svo_view *v, const svo_view_channel *a, const svo_view_channel *b)
 {

@@ -1,0 +1,258 @@
+/* svo-pack: a scene description, a glTF scene or a single asset to a packed, instanced scene. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "cli.h"
+#include "fmt_scene.h"
+#include "fmt_scene_build.h"
+
+typedef struct pack_options {
+    uint64_t depth, page;
+    double voxel_size;
+    const char *color, *normal, *attributes;
+    int surface, fill, lod;
+    bool has_depth, has_size;
+} pack_options;
+
+static const char *const surfaces[] = {"conservative", "thin", NULL};
+static const char *const fills[] = {"surface", "solid", NULL};
+static const char *const lods[] = {"all", "none", NULL};
+
+/* "lossless" or a number of bits between low and high. */
+static bool parse_bits(const char *text, uint32_t low, uint32_t high, uint32_t *bits)
+{
+    *bits = 0;
+    if (strcmp(text, "lossless") == 0) return true;
+    char *end;
+    unsigned long v = strtoul(text, &end, 10);
+    if (text[0] < '0' || text[0] > '9' || *end != 0 || v < low || v > high) return false;
+    *bits = (uint32_t)v;
+    return true;
+}
+
+/* auto, none or a list of names, as svo-voxelize has it. */
+static bool parse_attributes(const char *text, uint32_t *channels)
+{
+    static const struct { const char *name; uint32_t bit; } known[] = {
+        {"color", SVO_WANT_COLOR}, {"normal", SVO_WANT_NORMAL}, {"emissive", SVO_WANT_EMISSIVE}, {"metallic", SVO_WANT_METALLIC},
+        {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL}};
+    *channels = 0;
+    if (strcmp(text, "none") == 0) return true;
+    if (strcmp(text, "auto") == 0) {
+        *channels = SVO_WANT_AUTO;
+        return true;
+    }
+    for (;;) {
+        size_t n = strcspn(text, ","), k = 0;
+        while (k < 6 && (strlen(known[k].name) != n || strncmp(known[k].name, text, n) != 0)) k++;
+        if (k == 6) return false;
+        *channels |= known[k].bit;
+        if (text[n] == 0) return true;
+        text += n + 1;
+    }
+}
+
+static void next_phase(void *user, const char *name) { cli_phase(user, name); }
+
+/* The inputs for META: the scene itself and every file that was read for it. */
+static json_t *inputs_of(const cli *c, const fmt_scene_build *b)
+{
+    json_t *inputs = json_array();
+    uint32_t count;
+    const fmt_scene_build_asset *assets = fmt_scene_build_assets(b, &count);
+    json_array_append_new(inputs, cli_provenance_input(c->inputs[0], fmt_scene_build_hash(b)));
+    for (uint32_t i = 0; i < count; i++)
+        if (assets[i].hash[0] != 0 && strcmp(assets[i].hash, fmt_scene_build_hash(b)) != 0)
+            json_array_append_new(inputs, cli_provenance_input(assets[i].file, assets[i].hash));
+    return inputs;
+}
+
+static json_t *left_out(json_t *list, const char *what, uint64_t count, const char *unit, uint64_t bytes)
+{
+    json_t *o = json_object();
+    cli_put_text(o, "what", what);
+    cli_put_u64(o, unit, count);
+    cli_put_u64(o, "bytes", bytes);
+    json_array_append_new(list, o);
+    return o;
+}
+
+#define INSTANCE_BYTES 60 /* in the file, without a name */
+
+static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_scene_build_asset *assets, uint32_t count, const uint64_t *bytes)
+{
+    const svo_pack_report *r = fmt_scene_build_report(b);
+    for (uint32_t i = 0; i < count; i++) {
+        const fmt_scene_build_asset *a = &assets[i];
+        json_t *o = NULL;
+        if (a->packed.fate == SVO_PACK_UNUSED) o = left_out(list, "asset that no visible instance names", 1, "assets", a->source_bytes);
+        if (a->packed.fate == SVO_PACK_EMPTY) o = left_out(list, "asset without voxels", 1, "assets", a->source_bytes);
+        if (a->packed.fate == SVO_PACK_EQUAL) o = left_out(list, "asset equal to another one", 1, "assets", bytes[a->packed.packed]);
+        if (o == NULL) continue;
+        cli_put_text(o, "name", a->name);
+        cli_put_text(o, "file", a->file);
+        /* What is not built has no packed size: then it is that of the source file, 0 where the file holds other things too. */
+        cli_put_text(o, "bytes_of", a->packed.fate == SVO_PACK_EQUAL ? "packed asset" : "source file");
+    }
+    const struct { const char *what; uint64_t count; } dropped[] = {{"instances of assets without voxels", r->dropped_empty},
+                                                                    {"instances hidden by a scale of 0", r->dropped_hidden},
+                                                                    {"instances with a singular transform", r->dropped_flat}};
+    for (int i = 0; i < 3; i++)
+        if (dropped[i].count != 0) left_out(list, dropped[i].what, dropped[i].count, "instances", dropped[i].count * INSTANCE_BYTES);
+    const svo_scene *s = fmt_scene_build_scene(b);
+    if (s->instance_name == NULL && s->instance_count != 0) left_out(list, "names of instances: none has one", s->instance_count, "instances", s->instance_count * 4);
+}
+
+static void report_scene(cli *c, const fmt_scene_build *b, const fmt_scene_bytes *bytes, const uint64_t *asset_bytes, uint64_t total)
+{
+    const svo_scene *s = fmt_scene_build_scene(b);
+    const svo_pack_report *r = fmt_scene_build_report(b);
+    uint32_t count;
+    const fmt_scene_build_asset *assets = fmt_scene_build_assets(b, &count);
+    json_t *input = cli_section(c, "input"), *output = cli_section(c, "output"), *parts = json_object(), *list = json_array(), *out = json_array();
+    cli_put_text(input, "file", c->inputs[0]);
+    cli_put_text(input, "hash", fmt_scene_build_hash(b));
+    cli_put_u64(input, "assets", count);
+    cli_put_u64(input, "instances", r->kept + r->dropped_empty + r->dropped_hidden + r->dropped_flat);
+    cli_put_u64(output, "bytes", total);
+    cli_put_u64(output, "assets", s->asset_count);
+    cli_put_u64(output, "instances", s->instance_count);
+    cli_put_u64(output, "pages", s->page_count);
+    cli_put_u64(parts, "assets", bytes->assets);
+    cli_put_u64(parts, "instances", bytes->instances);
+    cli_put_u64(parts, "pages", bytes->pages);
+    cli_put_u64(parts, "names", bytes->names);
+    cli_put_u64(parts, "rest", bytes->rest);
+    json_object_set_new(output, "bytes_by_part", parts);
+    for (uint32_t i = 0; i < count; i++) {
+        static const char *const fates[] = {"kept", "unused", "empty", "equal"};
+        const fmt_scene_build_asset *a = &assets[i];
+        bool stored = a->packed.fate == SVO_PACK_KEPT || a->packed.fate == SVO_PACK_EQUAL;
+        json_t *o = json_object();
+        cli_put_text(o, "name", a->name);
+        cli_put_text(o, "file", a->file);
+        cli_put_text(o, "source", a->source != NULL ? a->source : "");
+        cli_put_text(o, "fate", fates[a->packed.fate]);
+        cli_put_u64(o, "instances", a->packed.instances);
+        if (stored) {
+            cli_put_u64(o, "depth", a->depth);
+            cli_put_u64(o, "voxels", a->voxels);
+            cli_put_u64(o, "packed_as", a->packed.packed);
+            cli_put_u64(o, "bytes", a->packed.fate == SVO_PACK_KEPT ? asset_bytes[a->packed.packed] : 0);
+        }
+        json_array_append_new(list, o);
+    }
+    json_object_set_new(output, "asset_list", list);
+    report_left_out(out, b, assets, count, asset_bytes);
+    json_object_set_new(output, "left_out", out);
+    cli_put_f64(cli_section(c, "errors"), "instance_translation_max", r->translation_error);
+    double low[3], high[3];
+    if (svo_scene_bounds(s, low, high)) {
+        json_t *box = json_array();
+        for (int k = 0; k < 6; k++) json_array_append_new(box, json_real(k < 3 ? low[k] : high[k - 3]));
+        json_object_set_new(output, "bounds", box);
+    }
+}
+
+static svo_result write_scene(cli *c, const fmt_scene_build *b, const svo_allocator *a, fmt_output *out, svo_error *err)
+{
+    const svo_scene *s = fmt_scene_build_scene(b);
+    fmt_scene_bytes bytes;
+    uint64_t *asset_bytes = svo_calloc(a, s->asset_count, sizeof *asset_bytes), total;
+    char *provenance = cli_provenance(c, cli_options_json(c, false), inputs_of(c, b));
+    svo_result result = provenance == NULL || (asset_bytes == NULL && s->asset_count != 0) ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the report") : SVO_OK;
+    cli_phase(c, "write");
+    if (result == SVO_OK) result = fmt_scene_write(out, s, provenance, a, &bytes, asset_bytes, err);
+    total = fmt_output_offset(out);
+    if (result == SVO_OK) result = fmt_output_commit(out, err);
+    else fmt_output_discard(out);
+    cli_phase(c, NULL);
+    if (result == SVO_OK) {
+        report_scene(c, b, &bytes, asset_bytes, total);
+        cli_info(c, "%u assets, %llu instances in %u pages, %llu bytes", s->asset_count, (unsigned long long)s->instance_count, s->page_count,
+                 (unsigned long long)total);
+    }
+    free(provenance);
+    svo_free(a, asset_bytes, s->asset_count, sizeof *asset_bytes);
+    return result;
+}
+
+static svo_result run(cli *c, fmt_scene_build_options *o, svo_error *err)
+{
+    svo_limit_allocator limit;
+    svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
+    o->voxelize.threads = o->dag.threads = (uint32_t)c->threads;
+    o->voxelize.memory = o->dag.memory = c->memory;
+    o->voxelize.allocator = o->dag.allocator = &limit.base;
+    o->voxelize.warnings = o->dag.warnings = &c->warnings;
+    o->phase = next_phase;
+    o->user = c;
+    fmt_output *out;
+    SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
+    fmt_scene_build *b;
+    svo_result result = fmt_scene_build_open(c->inputs[0], o, &b, err);
+    if (result != SVO_OK) {
+        fmt_output_discard(out);
+        if (result == SVO_OUT_OF_MEMORY && c->memory != 0 && svo_limit_peak(&limit) > 0) {
+            svo_error inner = *err;
+            return svo_fail(err, SVO_LIMIT, "%s (--memory allows %llu bytes)", inner.message, (unsigned long long)c->memory);
+        }
+        return result;
+    }
+    result = write_scene(c, b, &limit.base, out, err);
+    fmt_scene_build_close(b);
+    return result;
+}
+
+int main(int argc, char **argv)
+{
+    fmt_scene_build_options build = fmt_default_scene_build_options();
+    pack_options o = {.depth = build.depth, .page = 1024, .color = "lossless", .normal = "lossless", .attributes = "auto"};
+    const cli_option options[] = {
+        {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .min = 0, .max = SVO_MAX_DEPTH, .seen = &o.has_depth,
+         .help = "Levels of the mesh that is largest in the scene; the others get as few as give voxels of that size.", .group = "Meshes"},
+        {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-300, .max = 1e300, .seen = &o.has_size,
+         .no_default = true, .help = "Largest edge of a voxel in scene units, in place of --depth.", .group = "Meshes"},
+        {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
+         .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material.", .group = "Meshes"},
+        {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
+        {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "KIND", .help = "Voxels inside.", .group = "Meshes"},
+        {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "BITS", .help = "lossless, or 1 to 16 bits a colour.", .group = "Meshes and .svo files"},
+        {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "BITS", .help = "lossless, or 4 to 32 bits (even) a normal.",
+         .group = "Meshes and .svo files"},
+        {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes.",
+         .group = "Meshes and .svo files"},
+        {.name = "page", .kind = CLI_U64, .value = &o.page, .argument = "N", .min = 1, .max = 1 << 24, .help = "Most instances in a page.", .group = "Scene"},
+    };
+    const cli_tool tool = {
+        .name = "svo-pack",
+        .summary = "Pack a scene: assets that instances use, and the instances, grouped into pages.",
+        .synopsis = "SCENE -o OUT.svscene [--depth D]",
+        .options = options,
+        .option_count = sizeof options / sizeof options[0],
+        .details = "SCENE is a description in JSON (assets and instances of them), a glTF scene (its meshes become assets, its nodes and GPU\n"
+                   "instances become instances), any other mesh, a .svo or a .svdag. docs/tools/svo-pack.md has the JSON format.\n"
+                   "Assets of a description are .svdag, .svo or mesh files in the description's folder or below it.",
+        .example = "svo-pack city.json -o city.svscene --depth 11 --report city-report.json\nsvo-pack scene.glb -o scene.svscene",
+        .min_inputs = 1,
+        .max_inputs = 1,
+        .has_output = true,
+    };
+    cli c;
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    if (c.output == NULL) return cli_usage(&c, "-o OUT.svscene is missing");
+    if (o.has_depth && o.has_size) return cli_usage(&c, "--depth and --voxel-size exclude each other");
+    if (!parse_attributes(o.attributes, &build.voxelize.channels)) return cli_usage(&c, "--attributes %s: auto, none or a list of attributes is expected", o.attributes);
+    if (!parse_bits(o.color, 1, 16, &build.dag.color_bits)) return cli_usage(&c, "--color %s: lossless or 1 to 16 is expected", o.color);
+    if (!parse_bits(o.normal, 4, 32, &build.dag.normal_bits) || build.dag.normal_bits % 2 != 0)
+        return cli_usage(&c, "--normal %s: lossless or an even number from 4 to 32 is expected", o.normal);
+    build.depth = (uint32_t)o.depth;
+    build.voxel_size = o.has_size ? o.voxel_size : 0;
+    build.page_instances = (uint32_t)o.page;
+    build.voxelize.surface = (svo_surface)o.surface;
+    build.voxelize.fill = (svo_fill)o.fill;
+    build.dag.lod = o.lod == 0;
+    svo_error err = {0};
+    return cli_end(&c, run(&c, &build, &err), &err);
+}
