@@ -241,7 +241,6 @@ int main(int argc, char **argv)
     cli c;
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
-    if (c.output == NULL) return cli_usage(&c, "-o OUT.svscene is missing");
     if (o.has_depth && o.has_size) return cli_usage(&c, "--depth and --voxel-size exclude each other");
     if (!parse_attributes(o.attributes, &build.voxelize.channels)) return cli_usage(&c, "--attributes %s: auto, none or a list of attributes is expected", o.attributes);
     if (!parse_bits(o.color, 1, 16, &build.dag.color_bits)) return cli_usage(&c, "--color %s: lossless or 1 to 16 is expected", o.color);
