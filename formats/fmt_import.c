@@ -23,11 +23,19 @@ static const char *extension(const char *path)
 static import_reader *by_extension(const char *path)
 {
     static const struct { const char *extension; import_reader *reader; } table[] = {
-        {"gltf", import_gltf}, {"glb", import_gltf}, {"obj", import_obj}, {"drc", import_drc},
+        {"gltf", import_gltf}, {"glb", import_gltf}, {"obj", import_obj}, {"ply", import_ply},
+        {"stl", import_stl},   {"off", import_off},  {"drc", import_drc},
     };
     for (size_t i = 0; i < sizeof table / sizeof *table; i++)
         if (strcasecmp(extension(path), table[i].extension) == 0) return table[i].reader;
     return NULL;
+}
+
+/* "OFF" with its prefixes, [ST][C][N][4][n]OFF, and no letter after it. */
+static bool is_off_word(const char *p, const char *end)
+{
+    while (p < end && strchr("STCN4n", *p) != NULL && *p != '\0') p++;
+    return end - p >= 3 && memcmp(p, "OFF", 3) == 0 && (end - p == 3 || import_space(p[3]) || import_digit(p[3]) || p[3] == '#');
 }
 
 /* A line that begins as OBJ lines do, among the first that are not comments. */
@@ -53,8 +61,12 @@ static import_reader *by_content(const uint8_t *bytes, uint64_t size)
     const char *p = (const char *)bytes, *end = p + size;
     if (starts(bytes, size, "glTF")) return import_gltf;
     if (starts(bytes, size, "DRACO")) return import_drc;
+    if (size >= 84 && size == 84 + 50 * (uint64_t)fmt_load32(bytes + 80)) return import_stl; /* binary, whatever its first words say */
     p = import_skip_space(p, end);
+    if (import_word(p, end, "ply") != NULL) return import_ply;
     if (p < end && *p == '{') return import_gltf;
+    if (is_off_word(p, end)) return import_off;
+    if (import_word_nocase(p, end, "solid") != NULL) return import_stl;
     return NULL;
 }
 

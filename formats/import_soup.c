@@ -1,0 +1,196 @@
+#include "import_soup.h"
+
+#include <string.h>
+
+void soup_init(import_soup *s, const import_context *c)
+{
+    memset(s, 0, sizeof *s);
+    svo_buffer *all[] = {&s->positions, &s->normals, &s->uvs, &s->colors, &s->corners, &s->sizes,
+                         &s->corner_uvs, &s->face_colors, &s->face_images, &s->images};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) svo_buffer_init(all[i], c->allocator);
+}
+
+void soup_free(import_soup *s)
+{
+    char **name = (char **)(void *)s->images.data;
+    for (size_t i = 0; i < s->images.size / sizeof *name; i++) svo_string_free(s->images.allocator, name[i]);
+    svo_buffer *all[] = {&s->positions, &s->normals, &s->uvs, &s->colors, &s->corners, &s->sizes,
+                         &s->corner_uvs, &s->face_colors, &s->face_images, &s->images};
+    for (size_t i = 0; i < sizeof all / sizeof *all; i++) svo_buffer_free(all[i]);
+}
+
+uint64_t soup_vertex_count(const import_soup *s) { return s->positions.size / (3 * sizeof(double)); }
+
+typedef struct soup_builder {
+    import_soup *s;
+    const import_context *c;
+    bool unshared, face_colors;
+    svo_buffer triangles; /* uint32_t: corner numbers */
+    svo_buffer polygon, scratch;
+    bool fanned;
+} soup_builder;
+
+/* Corner numbers of the triangles of faces with this image (SVO_NONE: all faces). */
+static svo_result cut(soup_builder *b, uint32_t image, svo_error *err)
+{
+    const uint32_t *size = (const uint32_t *)(void *)b->s->sizes.data, *corner = (const uint32_t *)(void *)b->s->corners.data;
+    const uint32_t *face_image = (const uint32_t *)(void *)b->s->face_images.data;
+    const double *position = (const double *)(void *)b->s->positions.data;
+    uint64_t faces = b->s->sizes.size / sizeof *size, base = 0;
+    b->triangles.size = 0;
+    for (uint64_t f = 0; f < faces; base += size[f], f++) {
+        uint32_t n = size[f];
+        if (image != SVO_NONE && face_image[f] != image) continue;
+        uint32_t *out = svo_buffer_append(&b->triangles, NULL, (size_t)(n - 2) * 3 * sizeof *out);
+        if (out == NULL) return import_no_memory(err);
+        b->polygon.size = 0;
+        double *p = svo_buffer_append(&b->polygon, NULL, (size_t)n * 3 * sizeof *p);
+        if (p == NULL) return import_no_memory(err);
+        for (uint32_t k = 0; k < n; k++) memcpy(p + 3 * (size_t)k, position + 3 * (uint64_t)corner[base + k], 3 * sizeof *p);
+        SVO_TRY(import_triangulate(p, n, out, &b->scratch, &b->fanned, err));
+        for (size_t k = 0; k < 3 * (size_t)(n - 2); k++) out[k] += (uint32_t)base;
+    }
+    return SVO_OK;
+}
+
+static svo_result make_arrays(soup_builder *b, svo_part *part, bool uvs, svo_error *err)
+{
+    const svo_allocator *a = b->c->allocator;
+    uint64_t n = part->vertex_count;
+    bool normals = b->s->normals.size != 0, colors = b->s->colors.size != 0 || b->face_colors;
+    part->positions = svo_alloc(a, n, 3 * sizeof(double));
+    part->indices = svo_alloc(a, part->triangle_count, 3 * sizeof(uint32_t));
+    if (normals) part->normals = svo_alloc(a, n, 3 * sizeof(float));
+    if (uvs) part->uvs[0] = svo_alloc(a, n, 2 * sizeof(float));
+    if (colors) part->colors = svo_alloc(a, n, 4 * sizeof(float));
+    bool ok = part->positions != NULL && part->indices != NULL && (!normals || part->normals != NULL) &&
+              (!uvs || part->uvs[0] != NULL) && (!colors || part->colors != NULL);
+    return ok ? SVO_OK : import_no_memory(err);
+}
+
+/* Vertices as in the file. */
+static svo_result shared_part(soup_builder *b, svo_part *part, svo_error *err)
+{
+    const import_soup *s = b->s;
+    const uint32_t *corner = (const uint32_t *)(void *)s->corners.data, *t = (const uint32_t *)(void *)b->triangles.data;
+    part->vertex_count = soup_vertex_count(s);
+    part->triangle_count = b->triangles.size / (3 * sizeof *t);
+    SVO_TRY(make_arrays(b, part, s->uvs.size != 0, err));
+    memcpy(part->positions, s->positions.data, s->positions.size);
+    if (part->normals != NULL) memcpy(part->normals, s->normals.data, s->normals.size);
+    if (part->uvs[0] != NULL) memcpy(part->uvs[0], s->uvs.data, s->uvs.size);
+    if (part->colors != NULL) memcpy(part->colors, s->colors.data, s->colors.size);
+    for (uint64_t i = 0; i < 3 * part->triangle_count; i++) part->indices[i] = corner[t[i]];
+    return SVO_OK;
+}
+
+/* The face of each corner, for colours of faces. */
+static svo_result corner_faces(soup_builder *b, svo_buffer *to, svo_error *err)
+{
+    const uint32_t *size = (const uint32_t *)(void *)b->s->sizes.data;
+    uint32_t *face = svo_buffer_append(to, NULL, b->s->corners.size);
+    if (face == NULL) return import_no_memory(err);
+    for (uint32_t f = 0; f < b->s->sizes.size / sizeof *size; f++)
+        for (uint32_t k = 0; k < size[f]; k++) *face++ = f;
+    return SVO_OK;
+}
+
+/* One vertex a triangle corner. */
+static svo_result unshared_part(soup_builder *b, const uint32_t *face, svo_part *part, svo_error *err)
+{
+    const import_soup *s = b->s;
+    const uint32_t *corner = (const uint32_t *)(void *)s->corners.data, *t = (const uint32_t *)(void *)b->triangles.data;
+    bool corner_uvs = s->corner_uvs.size != 0;
+    part->triangle_count = b->triangles.size / (3 * sizeof *t);
+    part->vertex_count = 3 * part->triangle_count;
+    if (part->vertex_count >= SVO_NONE) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", b->c->path);
+    SVO_TRY(make_arrays(b, part, corner_uvs || s->uvs.size != 0, err));
+    for (uint64_t i = 0; i < part->vertex_count; i++) {
+        uint64_t from = t[i], v = corner[t[i]];
+        part->indices[i] = (uint32_t)i;
+        memcpy(part->positions + 3 * i, s->positions.data + v * 3 * sizeof(double), 3 * sizeof(double));
+        if (part->normals != NULL) memcpy(part->normals + 3 * i, s->normals.data + v * 3 * sizeof(float), 3 * sizeof(float));
+        if (part->uvs[0] != NULL) {
+            const uint8_t *uv = corner_uvs ? s->corner_uvs.data + from * 2 * sizeof(float) : s->uvs.data + v * 2 * sizeof(float);
+            memcpy(part->uvs[0] + 2 * i, uv, 2 * sizeof(float));
+        }
+        if (part->colors != NULL) {
+            const uint8_t *c = b->face_colors ? s->face_colors.data + (uint64_t)face[from] * 4 * sizeof(float)
+                                              : s->colors.data + v * 4 * sizeof(float);
+            memcpy(part->colors + 4 * i, c, 4 * sizeof(float));
+        }
+    }
+    return SVO_OK;
+}
+
+/* A material for each texture file. */
+static svo_result make_materials(soup_builder *b, svo_mesh *mesh, svo_error *err)
+{
+    char **name = (char **)(void *)b->s->images.data;
+    uint32_t n = (uint32_t)(b->s->images.size / sizeof *name);
+    if (n == 0) return SVO_OK;
+    mesh->materials = svo_alloc(b->c->allocator, n, sizeof(svo_material));
+    if (mesh->materials == NULL) return import_no_memory(err);
+    mesh->material_count = n;
+    for (uint32_t i = 0; i < n; i++) mesh->materials[i] = svo_material_default();
+    import_images images;
+    import_images_init(&images, b->c);
+    svo_result r = SVO_OK;
+    for (uint32_t i = 0; i < n && r == SVO_OK; i++) {
+        svo_material *m = &mesh->materials[i];
+        m->double_sided = true;
+        m->name = svo_string_copy(b->c->allocator, name[i]);
+        r = m->name != NULL ? import_image_find(&images, b->c, name[i], &m->base_color_texture.image, err) : import_no_memory(err);
+    }
+    if (r == SVO_OK) r = import_images_finish(&images, mesh, err);
+    import_images_free(&images);
+    return r;
+}
+
+static svo_result make_parts(soup_builder *b, svo_buffer *parts, svo_error *err)
+{
+    import_soup *s = b->s;
+    uint32_t images = (uint32_t)(s->images.size / sizeof(char *));
+    bool split = s->face_images.size != 0 && images > 1;
+    svo_buffer faces;
+    svo_buffer_init(&faces, b->c->allocator);
+    svo_result r = b->face_colors ? corner_faces(b, &faces, err) : SVO_OK;
+    for (uint32_t i = 0; r == SVO_OK && i < (split ? images : 1); i++) {
+        svo_part part = {.material = images > 0 ? i : SVO_NONE};
+        r = cut(b, split ? i : SVO_NONE, err);
+        if (r != SVO_OK || b->triangles.size == 0) continue;
+        r = b->unshared ? unshared_part(b, (const uint32_t *)(void *)faces.data, &part, err) : shared_part(b, &part, err);
+        if (r == SVO_OK && svo_buffer_append(parts, &part, sizeof part) == NULL) r = import_no_memory(err);
+        if (r != SVO_OK) import_part_free(b->c->allocator, &part);
+    }
+    svo_buffer_free(&faces);
+    return r;
+}
+
+svo_result soup_build(import_soup *s, const import_context *c, svo_mesh *mesh, svo_error *err)
+{
+    soup_builder b = {.s = s, .c = c};
+    svo_buffer parts;
+    svo_buffer_init(&b.triangles, c->allocator);
+    svo_buffer_init(&b.polygon, c->allocator);
+    svo_buffer_init(&b.scratch, c->allocator);
+    svo_buffer_init(&parts, c->allocator);
+    b.face_colors = s->face_colors.size != 0 && s->colors.size == 0;
+    b.unshared = b.face_colors || s->corner_uvs.size != 0 || s->face_images.size != 0;
+    if (s->short_faces) svo_warn(c->warnings, "%s: faces with fewer than three corners are left out", c->path);
+    svo_result r = s->corners.size / sizeof(uint32_t) < SVO_NONE ? SVO_OK : svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
+    if (r == SVO_OK) r = make_materials(&b, mesh, err);
+    if (r == SVO_OK) r = make_parts(&b, &parts, err);
+    if (b.fanned) svo_warn(c->warnings, "%s: some polygons cross themselves; they were cut as fans", c->path);
+    uint64_t count = 0;
+    void *list = NULL;
+    if (r == SVO_OK) r = import_exact(&parts, sizeof(svo_part), &list, &count, err);
+    if (r == SVO_OK) r = import_single_shape(c, list, (uint32_t)count, mesh, err);
+    svo_part *part = (svo_part *)(void *)parts.data;
+    for (size_t i = 0; i < parts.size / sizeof *part; i++) import_part_free(c->allocator, &part[i]);
+    svo_buffer_free(&b.triangles);
+    svo_buffer_free(&b.polygon);
+    svo_buffer_free(&b.scratch);
+    svo_buffer_free(&parts);
+    return r;
+}

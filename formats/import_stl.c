@@ -1,0 +1,175 @@
+/* STL, binary and ASCII. Vertices stay unshared and facet normals are not taken: they say nothing that the triangle does
+ * not say, and many files have them wrong. */
+#include <string.h>
+
+#include "fmt_container.h"
+#include "import_common.h"
+#include "import_text.h"
+
+static svo_result make_mesh(const import_context *c, double *positions, uint64_t triangles, svo_mesh *mesh, svo_error *err)
+{
+    const svo_allocator *a = c->allocator;
+    svo_part *part = svo_calloc(a, 1, sizeof *part);
+    uint32_t *indices = svo_alloc(a, triangles, 3 * sizeof *indices);
+    if (part == NULL || indices == NULL) {
+        svo_free(a, part, 1, sizeof *part);
+        svo_free(a, indices, triangles, 3 * sizeof *indices);
+        svo_free(a, positions, 3 * triangles, 3 * sizeof *positions);
+        return import_no_memory(err);
+    }
+    for (uint64_t i = 0; i < 3 * triangles; i++) indices[i] = (uint32_t)i;
+    *part = (svo_part){.material = SVO_NONE, .vertex_count = 3 * triangles, .triangle_count = triangles, .positions = positions, .indices = indices};
+    return import_single_shape(c, part, 1, mesh, err);
+}
+
+static svo_result read_binary(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    if (size < 84) return svo_fail(err, SVO_INVALID_DATA, "%s: neither ASCII STL nor long enough for binary STL", c->path);
+    uint64_t n = fmt_load32(bytes + 80), have = (size - 84) / 50;
+    if (n > have)
+        return svo_fail(err, SVO_INVALID_DATA, "%s: the STL header says %llu triangles, there are bytes for %llu", c->path,
+                        (unsigned long long)n, (unsigned long long)have);
+    if (n < have)
+        return svo_fail(err, SVO_INVALID_DATA, "%s: the STL header says %llu triangles, but %llu follow", c->path, (unsigned long long)n,
+                        (unsigned long long)have);
+    if (size != 84 + 50 * n) svo_warn(c->warnings, "%s: bytes after the last triangle are ignored", c->path);
+    if (n == 0) return import_single_shape(c, NULL, 0, mesh, err);
+    if (3 * n >= SVO_NONE) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
+    double *positions = svo_alloc(c->allocator, 3 * n, 3 * sizeof *positions);
+    if (positions == NULL) return import_no_memory(err);
+    bool attributes = false;
+    for (uint64_t i = 0; i < n; i++) {
+        const uint8_t *p = bytes + 84 + 50 * i;
+        float v[9];
+        memcpy(v, p + 12, sizeof v);
+        for (uint64_t k = 0; k < 9; k++) positions[9 * i + k] = (double)v[k];
+        attributes = attributes || p[48] != 0 || p[49] != 0;
+    }
+    if (attributes) svo_warn(c->warnings, "%s: STL attribute bytes (colours of some programs) are not read", c->path);
+    return make_mesh(c, positions, n, mesh, err);
+}
+
+typedef struct stl_text {
+    const import_context *c;
+    const char *p, *start, *end;
+    svo_buffer positions; /* double 3 a corner, three a triangle */
+    svo_buffer loop;      /* double 3: corners of the current loop */
+    svo_buffer scratch;
+    bool open, fanned;    /* between "outer loop" and "endloop" */
+    uint64_t solids;      /* "solid" minus "endsolid" */
+} stl_text;
+
+static svo_result bad(const stl_text *t, const char *what, svo_error *err)
+{
+    uint64_t line = 1;
+    for (const char *p = t->start; p < t->p; p++) line += *p == '\n';
+    return svo_fail(err, SVO_INVALID_DATA, "%s:%llu: %s", t->c->path, (unsigned long long)line, what);
+}
+
+static void skip_line(stl_text *t)
+{
+    const char *stop = memchr(t->p, '\n', (size_t)(t->end - t->p));
+    t->p = stop != NULL ? stop + 1 : t->end;
+}
+
+static svo_result end_loop(stl_text *t, svo_error *err)
+{
+    uint64_t n = t->loop.size / (3 * sizeof(double));
+    if (n < 3) return bad(t, "a facet has fewer than three vertices", err);
+    const double *p = (const double *)(void *)t->loop.data;
+    if (n == 3) {
+        if (svo_buffer_append(&t->positions, p, 9 * sizeof *p) == NULL) return import_no_memory(err);
+    } else { /* against the format's rules, but there is one way to read it */
+        svo_buffer triangles;
+        svo_buffer_init(&triangles, t->c->allocator);
+        uint32_t *out = n < SVO_NONE ? svo_buffer_append(&triangles, NULL, (size_t)(n - 2) * 3 * sizeof *out) : NULL;
+        svo_result r = out != NULL ? import_triangulate(p, (uint32_t)n, out, &t->scratch, &t->fanned, err) : import_no_memory(err);
+        for (uint64_t i = 0; r == SVO_OK && i < 3 * (n - 2); i++)
+            if (svo_buffer_append(&t->positions, p + 3 * (uint64_t)out[i], 3 * sizeof *p) == NULL) r = import_no_memory(err);
+        svo_buffer_free(&triangles);
+        SVO_TRY(r);
+    }
+    t->loop.size = 0;
+    t->open = false;
+    return SVO_OK;
+}
+
+static svo_result read_vertex(stl_text *t, svo_error *err)
+{
+    double v[3];
+    if (!t->open) return bad(t, "a vertex outside of a loop", err);
+    for (int k = 0; k < 3; k++) {
+        const char *q = import_skip_space(t->p, t->end);
+        const char *after = q < t->end ? import_double(q, t->end, &v[k]) : NULL;
+        if (after == NULL) return bad(t, "a vertex is not three numbers", err);
+        t->p = after;
+    }
+    return svo_buffer_append(&t->loop, v, sizeof v) != NULL ? SVO_OK : import_no_memory(err);
+}
+
+static svo_result read_text(stl_text *t, svo_error *err)
+{
+    for (;;) {
+        t->p = import_skip_space(t->p, t->end);
+        if (t->p == t->end) break;
+        const char *q;
+        if ((q = import_word_nocase(t->p, t->end, "vertex")) != NULL) {
+            t->p = q;
+            SVO_TRY(read_vertex(t, err));
+        } else if ((q = import_word_nocase(t->p, t->end, "outer")) != NULL || (q = import_word_nocase(t->p, t->end, "endfacet")) != NULL) {
+            t->p = q;
+        } else if ((q = import_word_nocase(t->p, t->end, "loop")) != NULL) {
+            if (t->open) return bad(t, "a loop within a loop", err);
+            t->open = true;
+            t->p = q;
+        } else if ((q = import_word_nocase(t->p, t->end, "endloop")) != NULL) {
+            if (!t->open) return bad(t, "endloop without loop", err);
+            SVO_TRY(end_loop(t, err));
+            t->p = q;
+        } else if ((q = import_word_nocase(t->p, t->end, "facet")) != NULL) {
+            if (t->open) return bad(t, "a facet within a loop", err);
+            t->p = import_skip_space(q, t->end);
+            for (int k = 0; k < 4; k++) /* "normal" and three numbers, which are not used */
+                t->p = import_skip_space(import_token_end(t->p, t->end), t->end);
+        } else if (import_word_nocase(t->p, t->end, "solid") != NULL) {
+            t->solids++;
+            skip_line(t);
+        } else if (import_word_nocase(t->p, t->end, "endsolid") != NULL) {
+            if (t->open || t->solids == 0) return bad(t, "endsolid in a wrong place", err);
+            t->solids--;
+            skip_line(t);
+        } else {
+            return bad(t, "not a word of ASCII STL", err);
+        }
+    }
+    if (t->open || t->solids != 0) return svo_fail(err, SVO_INVALID_DATA, "%s: the file ends within a solid", t->c->path);
+    return SVO_OK;
+}
+
+static svo_result read_ascii(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    stl_text t = {.c = c, .p = (const char *)bytes, .start = (const char *)bytes, .end = (const char *)bytes + size};
+    svo_buffer_init(&t.positions, c->allocator);
+    svo_buffer_init(&t.loop, c->allocator);
+    svo_buffer_init(&t.scratch, c->allocator);
+    svo_result r = read_text(&t, err);
+    uint64_t n = 0;
+    void *positions = NULL;
+    if (r == SVO_OK && t.positions.size / (3 * sizeof(double)) >= SVO_NONE) r = svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
+    if (r == SVO_OK) r = import_exact(&t.positions, 3 * sizeof(double), &positions, &n, err);
+    if (r == SVO_OK) r = n != 0 ? make_mesh(c, positions, n / 3, mesh, err) : import_single_shape(c, NULL, 0, mesh, err);
+    svo_buffer_free(&t.positions);
+    svo_buffer_free(&t.loop);
+    svo_buffer_free(&t.scratch);
+    return r;
+}
+
+svo_result import_stl(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    /* Binary files may begin with "solid" too: their size decides, else a NUL does. */
+    if (size >= 84 && size == 84 + 50 * (uint64_t)fmt_load32(bytes + 80)) return read_binary(c, bytes, size, mesh, err);
+    const char *p = (const char *)bytes, *end = p + size;
+    const char *word = import_skip_space(p, end);
+    bool text = import_word_nocase(word, end, "solid") != NULL && memchr(p, '\0', size < 1024 ? size : 1024) == NULL;
+    return text ? read_ascii(c, bytes, size, mesh, err) : read_binary(c, bytes, size, mesh, err);
+}
