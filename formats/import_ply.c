@@ -109,6 +109,19 @@ static void colors_to_linear(ply_reader *r, svo_buffer *colors, ply_type type)
     }
 }
 
+/* An ASCII row is a line. Some writers put more on it than their header says; that is skipped. */
+static void end_row(ply_reader *r)
+{
+    if (!r->ascii) return;
+    const char *end = (const char *)r->end, *p = import_skip_blank((const char *)r->p, end);
+    if (p < end && *p != '\n') {
+        svo_warn(r->c->warnings, "%s: values beyond what the PLY header names are ignored", r->c->path);
+        const char *stop = memchr(p, '\n', (size_t)(end - p));
+        p = stop != NULL ? stop : end;
+    }
+    r->p = (const uint8_t *)p;
+}
+
 static svo_result read_vertices(ply_reader *r, const ply_element *e, svo_error *err)
 {
     bool xyz = has(e, PLY_X, NULL) && has(e, PLY_Y, NULL) && has(e, PLY_Z, NULL);
@@ -131,6 +144,7 @@ static svo_result read_vertices(ply_reader *r, const ply_element *e, svo_error *
             if (no_memory) return import_no_memory(err);
             if (!ok) return bad(r, e, row, "not a number, or the file ends", err);
         }
+        end_row(r);
         float n[3] = {0}, uv[2] = {0}, c[4] = {0};
         if (svo_buffer_append(&s->positions, v, 3 * sizeof *v) == NULL) return import_no_memory(err);
         for (int k = 0; k < 3 && normals; k++) n[k] = (float)v[PLY_NX + k];
@@ -186,6 +200,7 @@ static svo_result read_face_row(ply_reader *r, const ply_element *e, uint64_t ro
             f->color[q->use - PLY_R] = (float)v;
         }
     }
+    end_row(r);
     return SVO_OK;
 }
 
@@ -273,6 +288,7 @@ static svo_result skip_element(ply_reader *r, const ply_element *e, svo_error *e
             bool ok = q->list != PLY_NONE ? read_list(r, q, &count, &no_memory) : read_value(r, q->type, &v);
             if (no_memory) return import_no_memory(err);
             if (!ok) return bad(r, e, row, "not a number, a list that is too long, or the file ends", err);
+            if (i + 1 == e->property_count) end_row(r);
         }
     return SVO_OK;
 }

@@ -36,6 +36,12 @@ const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size)
 {
     const tinygltf::BufferView &v = d.model.bufferViews.at(static_cast<size_t>(view));
     const gltf_bytes &b = *d.buffers.at(static_cast<size_t>(v.buffer));
+    if (b.data == nullptr) {
+        for (const char *e : {"EXT_meshopt_compression", "KHR_meshopt_compression"})
+            if (v.extensions.count(e) != 0)
+                svo_throw(SVO_UNSUPPORTED, "%s: the geometry is only there as %s, which is not supported", d.path(), e);
+        svo_throw(SVO_INVALID_DATA, "%s: buffer %d has no data", d.path(), v.buffer);
+    }
     if (v.byteOffset > b.size || v.byteLength > b.size - v.byteOffset)
         svo_throw(SVO_INVALID_DATA, "%s: buffer view %d goes beyond its buffer", d.path(), view);
     *size = v.byteLength;

@@ -156,6 +156,7 @@ struct checker {
     void check_version();
     void check_extensions();
     void check_data();
+    void accessor_fits(json &o);
     void check_meshes();
     void check_materials();
     void check_nodes();
@@ -213,10 +214,25 @@ void checker::check_extensions()
     }
 }
 
+/* Elements of an accessor against its buffer view; gltf_accessor checks again what it reads. */
+void checker::accessor_fits(json &o)
+{
+    static const char *const names[] = {"SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"};
+    static const uint64_t components[] = {1, 2, 3, 4, 4, 9, 16};
+    uint64_t kind = o["componentType"].get<uint64_t>(), width = kind <= 5121 ? 1 : kind <= 5123 ? 2 : 4, element = width;
+    for (size_t i = 0; i < 7; i++)
+        if (o["type"] == names[i]) element = components[i] * width;
+    json &view = root["bufferViews"][o["bufferView"].get<size_t>()];
+    uint64_t size = view["byteLength"].get<uint64_t>(), offset = o.value("byteOffset", uint64_t{0}), count = o["count"].get<uint64_t>();
+    uint64_t stride = view.value("byteStride", element);
+    if (stride < element) bad("elements are larger than the byteStride of its buffer view");
+    if (offset > size || element > size - offset || (count - 1) > (size - offset - element) / stride) bad("goes beyond its buffer view");
+}
+
 void checker::check_data()
 {
     each("buffers", [this](json &o) {
-        integer(o, "byteLength", true, 0, UINT64_MAX / 2);
+        if (integer(o, "byteLength", true, 0, UINT64_MAX / 2) == 0) bad("is zero", "byteLength");
         text(o, "uri");
     });
     each("bufferViews", [this](json &o) {
@@ -240,9 +256,11 @@ void checker::check_data()
         bool view = reference(o, "bufferView", "bufferViews");
         if (integer(o, "byteOffset", false, 0, UINT64_MAX / 4) != 0 && !view) bad("without a bufferView", "byteOffset");
         boolean(o, "normalized");
+        if (view) accessor_fits(o);
         json *sparse = object(o, "sparse");
         if (sparse == nullptr) return;
-        if (integer(*sparse, "count", true, 0, INT32_MAX) == 0) bad("is zero", "sparse/count");
+        uint64_t sparse_count = integer(*sparse, "count", true, 0, INT32_MAX);
+        if (sparse_count == 0 || sparse_count > o["count"].get<uint64_t>()) bad("is zero or more than the accessor's", "sparse/count");
         json *indices = object(*sparse, "indices"), *values = object(*sparse, "values");
         if (indices == nullptr || values == nullptr) bad("lacks indices or values", "sparse");
         reference(*indices, "bufferView", "bufferViews", true);
@@ -279,6 +297,13 @@ void checker::check_meshes()
             reference(p, "indices", "accessors");
             reference(p, "material", "materials");
             integer(p, "mode", false, 4, 6);
+            if (json *targets = find(p, "targets")) {
+                if (!targets->is_array()) bad("is not an array", "targets");
+                for (json &t : *targets) {
+                    if (!t.is_object()) bad("is not made of objects", "targets");
+                    for (auto &item : t.items()) reference(t, item.key().c_str(), "accessors");
+                }
+            }
             if (json *draco = extension(p, "KHR_draco_mesh_compression")) {
                 at += "/extensions/KHR_draco_mesh_compression";
                 reference(*draco, "bufferView", "bufferViews", true);

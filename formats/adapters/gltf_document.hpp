@@ -1,7 +1,7 @@
 /* One glTF asset while it is imported: what the adapters gltf_*.cpp share. Bytes are checked in this order: the GLB frame
  * and the JSON's depth (gltf_load), the JSON's types and references (gltf_check), then tinygltf fills its model from
- * JSON that is known to be sane and has no buffers and images left (those are ours: no file is opened by tinygltf, no
- * byte copied), then every accessor against its buffer (gltf_accessor). */
+ * JSON that is known to be sane and has no buffers, images and skins left (those are ours: no file is opened by tinygltf,
+ * no byte copied), then every accessor against its buffer (gltf_accessor). */
 #ifndef GLTF_DOCUMENT_HPP
 #define GLTF_DOCUMENT_HPP
 
@@ -25,7 +25,8 @@
 #pragma GCC diagnostic pop
 #endif
 
-/* Bytes of a buffer: mapped, decoded from a data URI, or part of the GLB. */
+/* Bytes of a buffer: mapped, decoded from a data URI, or part of the GLB. data is NULL for a buffer without any (allowed,
+ * as a placeholder for data that an extension brings). */
 struct gltf_bytes {
     const uint8_t *data = nullptr;
     uint64_t size = 0;
@@ -42,11 +43,17 @@ struct gltf_image {
     int buffer_view = -1;
 };
 
+struct gltf_skin {
+    std::vector<int> joints;
+    int inverse_bind_matrices = -1;
+};
+
 struct gltf_document {
     const import_context *context = nullptr;
     tinygltf::Model model;
     std::vector<std::unique_ptr<gltf_bytes>> buffers;
     std::vector<gltf_image> images;
+    std::vector<gltf_skin> skins;
     std::vector<std::vector<int>> indices; /* accessor of each primitive of each mesh, -1: none */
     std::vector<int> parent; /* of each node, -1 for roots */
     int scene = -1;          /* default scene of the file, -1: none stated */
@@ -98,6 +105,8 @@ struct gltf_skinning {
     std::vector<svo_mat4> joints;
 };
 void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape);
+/* The same checks for a mesh that is not drawn, so that a broken file is refused wherever it is broken. */
+void gltf_check_mesh(gltf_document &d, int mesh);
 /* A small file can name the same data many times. Refuses what goes far beyond the file's own size. */
 void gltf_charge(gltf_document &d, uint64_t elements);
 

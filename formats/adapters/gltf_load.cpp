@@ -41,7 +41,7 @@ frame split_glb(const gltf_document &d, const uint8_t *bytes, uint64_t size)
         } else if (type == 0x4e4f534a) {
             svo_throw(SVO_INVALID_DATA, "%s: a second JSON chunk in the GLB", path);
         } else if (type == 0x004e4942) {
-            if (f.bin != nullptr) svo_throw(SVO_INVALID_DATA, "%s: a second BIN chunk in the GLB", path);
+            if (n != 1) svo_throw(SVO_INVALID_DATA, "%s: a BIN chunk of the GLB in a wrong place", path);
             f.bin = bytes + at;
             f.bin_size = chunk;
         } else {
@@ -56,24 +56,27 @@ frame split_glb(const gltf_document &d, const uint8_t *bytes, uint64_t size)
 
 int hex(char c) { return c >= '0' && c <= '9' ? c - '0' : c >= 'a' && c <= 'f' ? c - 'a' + 10 : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1; }
 
-std::string percent_decode(const gltf_document &d, const std::string &s)
+std::vector<uint8_t> percent_decode_bytes(const std::string &s, size_t i)
 {
-    std::string out;
-    out.reserve(s.size());
-    for (size_t i = 0; i < s.size(); i++) {
-        char c = s[i];
-        if (c == '%') {
-            int h = i + 2 < s.size() ? hex(s[i + 1]) : -1, l = i + 2 < s.size() ? hex(s[i + 2]) : -1;
-            if (h < 0 || l < 0) { /* a stray '%': many writers do not encode */
-                out += c;
-                continue;
-            }
-            c = static_cast<char>(h * 16 + l);
-            i += 2;
+    std::vector<uint8_t> out;
+    out.reserve(s.size() - i);
+    for (; i < s.size(); i++) {
+        int h = s[i] == '%' && i + 2 < s.size() ? hex(s[i + 1]) : -1, l = h >= 0 ? hex(s[i + 2]) : -1;
+        if (l < 0) { /* a stray '%' stays: many writers do not encode */
+            out.push_back(static_cast<uint8_t>(s[i]));
+            continue;
         }
-        if (c == '\0') svo_throw(SVO_INVALID_DATA, "%s: a file reference holds a NUL", d.path());
-        out += c;
+        out.push_back(static_cast<uint8_t>(h * 16 + l));
+        i += 2;
     }
+    return out;
+}
+
+std::string decode_path(const gltf_document &d, const std::string &s)
+{
+    std::vector<uint8_t> bytes = percent_decode_bytes(s, 0);
+    std::string out(bytes.begin(), bytes.end());
+    if (out.find('\0') != std::string::npos) svo_throw(SVO_INVALID_DATA, "%s: a file reference holds a NUL", d.path());
     return out;
 }
 
@@ -121,11 +124,8 @@ void load_buffers(gltf_document &d, const json &root, const frame &f)
             b->data = f.bin;
             b->size = f.bin_size;
         } else {
-            if (o.contains("extensions"))
-                for (const char *e : {"EXT_meshopt_compression", "KHR_meshopt_compression"})
-                    if (o["extensions"].contains(e))
-                        svo_throw(SVO_UNSUPPORTED, "%s: the geometry is only there as %s, which is not supported", d.path(), e);
-            svo_throw(SVO_INVALID_DATA, "%s: buffer %zu has no data", d.path(), i);
+            d.buffers.push_back(std::make_unique<gltf_bytes>());
+            continue;
         }
         if (b->size < need)
             svo_throw(SVO_INVALID_DATA, "%s: buffer %zu has %llu bytes, %llu are stated", d.path(), i, (unsigned long long)b->size,
@@ -148,6 +148,19 @@ void take_images(gltf_document &d, const json &root)
         if (o.contains("bufferView")) image.buffer_view = static_cast<int>(o["bufferView"].get<uint64_t>());
         if (image.name.empty() && !gltf_is_data_uri(image.uri)) image.name = image.uri;
         d.images.push_back(std::move(image));
+    }
+}
+
+/* tinygltf demands inverse bind matrices, which are optional. */
+void take_skins(gltf_document &d, const json &root)
+{
+    auto it = root.find("skins");
+    if (it == root.end()) return;
+    for (const json &o : *it) {
+        gltf_skin skin;
+        for (const json &j : o["joints"]) skin.joints.push_back(static_cast<int>(j.get<uint64_t>()));
+        if (o.contains("inverseBindMatrices")) skin.inverse_bind_matrices = static_cast<int>(o["inverseBindMatrices"].get<uint64_t>());
+        d.skins.push_back(std::move(skin));
     }
 }
 
@@ -175,16 +188,16 @@ std::unique_ptr<gltf_bytes> gltf_fetch(const gltf_document &d, const std::string
     auto b = std::make_unique<gltf_bytes>();
     if (gltf_is_data_uri(uri)) {
         size_t comma = uri.find(',');
-        if (comma == std::string::npos || comma < 12 || uri.compare(comma - 7, 7, ";base64") != 0)
-            svo_throw(SVO_INVALID_DATA, "%s: a data URI is not base64", d.path());
-        b->owned = decode_base64(d, uri.data() + comma + 1, uri.size() - comma - 1);
+        if (comma == std::string::npos) svo_throw(SVO_INVALID_DATA, "%s: a data URI has no data", d.path());
+        if (comma >= 7 && uri.compare(comma - 7, 7, ";base64") == 0) b->owned = decode_base64(d, uri.data() + comma + 1, uri.size() - comma - 1);
+        else b->owned = percent_decode_bytes(uri, comma + 1);
         b->data = b->owned.data();
         b->size = b->owned.size();
         return b;
     }
     char path[IMPORT_PATH_MAX];
     svo_error err{};
-    svo_check(import_resolve(d.context, percent_decode(d, uri).c_str(), path, &err), err);
+    svo_check(import_resolve(d.context, decode_path(d, uri).c_str(), path, &err), err);
     svo_check(fmt_bytes_open(path, d.context->max_file_bytes, d.context->allocator, &b->mapped, &err), err);
     b->data = b->mapped.data;
     b->size = b->mapped.size;
@@ -208,8 +221,9 @@ void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size)
         gltf_check(d, root);
         load_buffers(d, root, f);
         take_images(d, root);
+        take_skins(d, root);
         take_indices(d, root);
-        for (const char *key : {"buffers", "images", "animations", "extras"}) root.erase(key);
+        for (const char *key : {"buffers", "images", "skins", "animations", "extras"}) root.erase(key);
         slim = root.dump();
     }
     if (slim.size() > UINT32_MAX / 2) svo_throw(SVO_LIMIT, "%s: more than 2 GiB of JSON", d.path());

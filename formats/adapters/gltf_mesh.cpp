@@ -91,6 +91,8 @@ struct primitive_reader {
 
     void read_indices();
     void unroll(uint64_t n, const gltf_accessor *from);
+    bool prepare();
+    void check();
     void build(svo_part *part);
     void fill(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
     void skin(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
@@ -223,15 +225,15 @@ void primitive_reader::skin(svo_part *part, const std::vector<uint32_t> &keep, u
     }
 }
 
-void primitive_reader::build(svo_part *part)
+/* Indices and their range; false when there is nothing to draw. */
+bool primitive_reader::prepare()
 {
-    part->material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
     auto extension = p.extensions.find("KHR_draco_mesh_compression");
     if (extension != p.extensions.end()) decode_draco(extension->second);
     auto position = p.attributes.find("POSITION");
     if (position == p.attributes.end()) {
         svo_warn(d.warnings(), "%s: %s has no positions; left out", d.path(), where.c_str());
-        return;
+        return false;
     }
     vertex_count = is_draco ? draco_points : d.model.accessors.at(static_cast<size_t>(position->second)).count;
     if (vertex_count >= UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 vertices", d.path(), where.c_str());
@@ -240,6 +242,26 @@ void primitive_reader::build(svo_part *part)
         if (i >= vertex_count)
             svo_throw(SVO_INVALID_DATA, "%s: %s: index %u, but there are %llu vertices", d.path(), where.c_str(), i,
                       (unsigned long long)vertex_count);
+    return true;
+}
+
+void primitive_reader::check()
+{
+    if (!prepare()) return;
+    find("POSITION", 3, 3);
+    find("NORMAL", 3, 3);
+    find("COLOR_0", 3, 4);
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) {
+        find(("TEXCOORD_" + std::to_string(u)).c_str(), 2, 2);
+        find(("JOINTS_" + std::to_string(u)).c_str(), 4, 4);
+        find(("WEIGHTS_" + std::to_string(u)).c_str(), 4, 4);
+    }
+}
+
+void primitive_reader::build(svo_part *part)
+{
+    part->material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
+    if (!prepare()) return;
     /* Meshes that share one large vertex buffer take only what they use; so memory follows the indices. */
     std::vector<uint32_t> keep;
     if (vertex_count > indices.size()) {
@@ -258,6 +280,13 @@ void primitive_reader::build(svo_part *part)
     part->indices = gltf_array<uint32_t>(d, part->triangle_count, 3);
     std::memcpy(part->indices, indices.data(), indices.size() * sizeof(uint32_t));
     if (!p.targets.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
+}
+
+primitive_reader reader_of(gltf_document &d, int mesh, uint32_t i, const gltf_skinning *skinning)
+{
+    return primitive_reader{d, d.model.meshes[static_cast<size_t>(mesh)].primitives[i],
+                            "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
+                            d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false};
 }
 
 } // namespace
@@ -282,12 +311,14 @@ void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning,
     for (uint32_t i = 0; i < count; i++) {
         const tinygltf::Primitive &p = m.primitives[i];
         shape->parts[i].material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
-        if (p.mode < TINYGLTF_MODE_TRIANGLES) {
-            svo_warn(d.warnings(), "%s: points and lines are left out", d.path());
-            continue;
-        }
-        primitive_reader r{d, p, "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
-                           d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false};
-        r.build(&shape->parts[i]);
+        if (p.mode < TINYGLTF_MODE_TRIANGLES) svo_warn(d.warnings(), "%s: points and lines are left out", d.path());
+        else reader_of(d, mesh, i, skinning).build(&shape->parts[i]);
     }
+}
+
+void gltf_check_mesh(gltf_document &d, int mesh)
+{
+    const tinygltf::Mesh &m = d.model.meshes.at(static_cast<size_t>(mesh));
+    for (uint32_t i = 0; i < m.primitives.size(); i++)
+        if (m.primitives[i].mode >= TINYGLTF_MODE_TRIANGLES) reader_of(d, mesh, i, nullptr).check();
 }

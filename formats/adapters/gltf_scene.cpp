@@ -92,11 +92,11 @@ struct scene_builder {
 
     gltf_skinning skinning(int skin)
     {
-        const tinygltf::Skin &s = d.model.skins.at(static_cast<size_t>(skin));
+        const gltf_skin &s = d.skins.at(static_cast<size_t>(skin));
         gltf_skinning out;
         std::unique_ptr<gltf_accessor> inverse;
-        if (s.inverseBindMatrices >= 0) {
-            inverse = std::make_unique<gltf_accessor>(d, s.inverseBindMatrices, "inverse bind matrices", 16, 16);
+        if (s.inverse_bind_matrices >= 0) {
+            inverse = std::make_unique<gltf_accessor>(d, s.inverse_bind_matrices, "inverse bind matrices", 16, 16);
             if (inverse->component_type() != TINYGLTF_COMPONENT_TYPE_FLOAT || inverse->count() < s.joints.size())
                 svo_throw(SVO_INVALID_DATA, "%s: skin %d has too few or wrong inverse bind matrices", d.path(), skin);
         }
@@ -215,6 +215,10 @@ struct scene_builder {
             for (uint32_t i = 0; i < s.part_count; i++)
                 if (s.parts[i].material != SVO_NONE && s.parts[i].triangle_count != 0) used[s.parts[i].material] = true;
         gltf_build_materials(d, used, mesh);
+        std::vector<bool> drawn(d.model.meshes.size(), false);
+        for (const auto &k : known) drawn[static_cast<size_t>(k.first.first)] = true;
+        for (size_t i = 0; i < drawn.size(); i++)
+            if (!drawn[i]) gltf_check_mesh(d, static_cast<int>(i));
         move(d, shapes, &mesh->shapes, &mesh->shape_count);
         move(d, instances, &mesh->instances, &mesh->instance_count);
         move(d, cameras, &mesh->cameras, &mesh->camera_count);
