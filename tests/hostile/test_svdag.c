@@ -1,0 +1,159 @@
+/* Damaged .svdag files are refused with a message, or what is read from them is sound: every voxel lies in the grid,
+ * every index is in range and in order, every attribute can be decoded. */
+#include <string.h>
+
+#include "fmt_svdag.h"
+#include "hostile.h"
+#include "svo_dag.h"
+#include "svo_morton.h"
+#include "test.h"
+#include "trees.h"
+
+typedef struct walk { const svo_view *v; uint64_t voxels, last_code, last_index; bool sound; } walk;
+
+static bool visit(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
+{
+    walk *w = user;
+    uint64_t code = svo_morton_encode(x, y, z), found;
+    if ((x | y | z) >> w->v->depth != 0 || index >= w->v->attribute_count) w->sound = false;
+    if (w->voxels != 0 && (code <= w->last_code || index <= w->last_index)) w->sound = false;
+    if (w->sound && (!svo_view_voxel(w->v, x, y, z, &found) || found != index)) w->sound = false;
+    w->last_code = code;
+    w->last_index = index;
+    w->voxels++;
+    return w->sound && w->voxels < 100000; /* a small file can describe very many */
+}
+
+static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
+{
+    (void)user;
+    fmt_svdag f;
+    SVO_TRY(fmt_svdag_open(bytes, size, a, &f, err));
+    const svo_view *v = &f.view;
+    walk w = {.v = v, .sound = true};
+    bool all = svo_view_voxels(v, visit, &w);
+    if (!w.sound) test_fail(__FILE__, __LINE__, "voxels out of order, outside the grid or with wrong indices");
+    if (all && w.voxels != v->nodes[v->depth]) test_fail(__FILE__, __LINE__, "accepted with a wrong number of voxels");
+    uint64_t sum = 0;
+    for (uint32_t c = 0; c < v->channel_count; c++)
+        for (uint64_t i = 0; i < v->attribute_count && i < 100000; i++) {
+            uint8_t value[SVO_MAX_STRIDE] = {0};
+            svo_view_attribute(v, c, i, value);
+            for (int k = 0; k < 8; k++) sum += value[k];
+        }
+    volatile uint64_t keep = sum; /* the sanitizers have seen every byte */
+    (void)keep;
+    fmt_svdag_close(&f);
+    return SVO_OK;
+}
+
+static void run(uint32_t depth, uint32_t style, bool lod, uint32_t rounds)
+{
+    uint64_t seed = 200 + depth;
+    tree t;
+    tree_random(&t, depth, style, &seed);
+    /* few values, so that channels become palette blocks of several modes */
+    for (uint32_t c = 0; c < t.info.channel_count && style == 1; c++) {
+        uint32_t stride = svo_channel_stride(t.info.channels[c].kind);
+        for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= c == 0 || i / stride % 1500 < 700 ? 3 : 0x3f;
+    }
+    svo_error err = {0};
+    svo_dag_options o = {.lod = lod, .threads = 1};
+    svo_dag_builder *b;
+    svo_packed *p;
+    CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
+    CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
+    CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+    tree_free(&t);
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    fmt_output *out;
+    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+    CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), "{\"tool\":\"test\"}", &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    svo_packed_free(p);
+    hostile_case c = {.read = read_svdag, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = seed};
+    hostile_run(&c);
+    svo_buffer_free(&file);
+}
+
+TEST(damaged_single_voxel) { run(0, 2, true, 0); }
+TEST(damaged_brick) { run(2, 0, true, 0); }
+TEST(damaged_without_channels) { run(6, 0, true, 0); }
+TEST(damaged_without_lod) { run(8, 2, false, 0); }
+TEST(damaged_corners_of_a_deep_tree) { run(21, 2, true, 0); }
+TEST(damaged_clusters_with_all_channels) { run(8, 1, true, 600); }
+
+/* A field of a payload changed and the hashes made right again: each rule has its own message. */
+typedef struct edit { uint32_t type; uint64_t offset; uint8_t mask; const char *rule; } edit;
+
+TEST(each_rule)
+{
+    uint64_t seed = 300;
+    tree t;
+    tree_random(&t, 6, 1, &seed);
+    for (uint32_t c = 0; c < t.info.channel_count; c++) {
+        uint32_t stride = svo_channel_stride(t.info.channels[c].kind);
+        for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= 3;
+    }
+    svo_error err = {0};
+    svo_dag_options o = {.lod = true, .threads = 1};
+    svo_dag_builder *b;
+    svo_packed *p;
+    CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
+    CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
+    CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    fmt_output *out;
+    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+    CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    uint32_t k = (uint32_t)__builtin_popcount(svo_packed_view(p)->levels[0].words[0]);
+    svo_packed_free(p);
+    tree_free(&t);
+#define C4(s) FMT_FOURCC(s[0], s[1], s[2], s[3])
+    const edit edits[] = {
+        {C4("HEAD"), 0, 0x20, "SVO-02"},    /* depth 38 */
+        {C4("HEAD"), 0, 1, "DAG"},          /* depth 7: a level is missing */
+        {C4("HEAD"), 4, 2, "DAG-01"},       /* layout 3 */
+        {C4("HEAD"), 8, 7, "SVO-02"},       /* surface */
+        {C4("HEAD"), 12, 2, "DAG-02"},      /* unknown flag */
+        {C4("HEAD"), 12, 1, "DAG-06"},      /* lod */
+        {C4("HEAD"), 144, 1, "DAG"},        /* attributes */
+        {C4("HEAD"), 152, 1, "DAG-05"},     /* root */
+        {C4("HEAD"), 156, 1, "DAG-02"},     /* reserved */
+        {C4("HEAD"), 160 + 8 * 3, 1, "DAG-07"},
+        {C4("HEAD"), 160 + 8 * 9, 1, "DAG-07"}, /* beyond the depth */
+        {C4("HEAD"), 336 + 20, 1, "DAG-02"},    /* constant but blocks */
+        {C4("HEAD"), 336 + 32, 3, "DAG"},       /* encoding 1 */
+        {C4("HEAD"), 336 + 40, 1, "DAG-08"},    /* table entries */
+        {C4("NODE"), 0, 3, "DAG"},              /* 2 words an offset */
+        {C4("NODE"), 4, 1, "DAG-03"},
+        {C4("NODE"), 8, 1, "DAG-07"},
+        {C4("NODE"), 16 + 1, 1, "DAG-04"},             /* unused bit of a mask */
+        {C4("NODE"), 16 + 4, 1, "DAG-05"},             /* first reference */
+        {C4("NODE"), 16 + 4 + 4 * (uint64_t)k, 1, "DAG-06"}, /* first offset */
+        {C4("ADIR"), 0, 1, "DAG-09"},
+        {C4("APAY"), 0, 1, "DAG-09"}, /* first bit of the first map */
+        {C4("ATBL"), 2, 0x80, "DAG-11"},
+    };
+    for (size_t i = 0; i < sizeof edits / sizeof edits[0]; i++) {
+        hostile_file h;
+        hostile_parse(file.data, file.size, &h);
+        hostile_chunk *c = hostile_find(&h, edits[i].type);
+        CHECK(c != NULL && edits[i].offset < c->payload.size);
+        c->payload.data[edits[i].offset] ^= edits[i].mask;
+        hostile_touch(c);
+        svo_buffer bad;
+        svo_buffer_init(&bad, NULL);
+        hostile_build(&h, &bad);
+        fmt_svdag f;
+        svo_result r = fmt_svdag_open(bad.data, bad.size, NULL, &f, &err);
+        CHECK_MSG(r == SVO_INVALID_DATA || r == SVO_UNSUPPORTED, "edit %zu: %s", i, svo_result_name(r));
+        CHECK_MSG(strstr(err.message, edits[i].rule) != NULL, "edit %zu: '%s' does not name %s", i, err.message, edits[i].rule);
+        svo_buffer_free(&bad);
+        hostile_free(&h);
+    }
+    svo_buffer_free(&file);
+}
