@@ -1,0 +1,219 @@
+"""A reader of .svdag written from docs/format/container.md, svo.md and svdag.md alone; it shares nothing with the C code.
+
+    Svdag(path)           checks what it reads and raises ValueError where a rule is broken (hashes are not computed)
+    .nodes()              every node in stored order: (level, x, y, z, attribute index or None)
+    .voxel(x, y, z)       attribute index of a finest voxel, or None
+    .value(channel, i)    value of attribute i as bytes
+"""
+
+import struct
+import sys
+
+STRIDE = {1: 3, 2: 4, 3: 1, 4: 2, 5: 4}
+
+
+def need(condition, rule):
+    if not condition:
+        raise ValueError(rule)
+
+
+def bits(data, at, width):
+    """`width` bits from bit `at` of a byte string, lowest first."""
+    first, last = at // 8, (at + width + 7) // 8
+    return int.from_bytes(data[first:last], "little") >> at % 8 & (1 << width) - 1
+
+
+def ones(x):
+    return bin(x).count("1")
+
+
+class Channel:
+    def __init__(self, record):
+        self.name = record[:16].rstrip(b"\0").decode("ascii")
+        self.kind, flags, self.constant, self.encoding, zero, self.table_count = struct.unpack("<II8sIIQ", record[16:])
+        need(self.kind in STRIDE and zero == 0 and self.encoding <= 2 and flags == (self.encoding == 0), "DAG-02")
+        self.stride = STRIDE[self.kind]
+
+
+class Svdag:
+    def __init__(self, path):
+        with open(path, "rb") as f:
+            self.data = f.read()
+        self.chunks = self._container()
+        self._head(self._take(b"HEAD", 0))
+        self.levels = []
+        if not self.empty:
+            for level in range(self.T - 2):
+                body = self._take(b"NODE", level)
+                ow, zero, count = struct.unpack("<IIQ", body[:16])
+                need(ow in (1, 2) and zero == 0, "DAG-03")
+                self.levels.append((ow, count, struct.unpack("<%dI" % (len(body) // 4 - 4), body[16:])))
+            body = self._take(b"BRCK", 0)
+            self.bricks = struct.unpack("<%dQ" % (len(body) // 8), body)
+        for number, c in enumerate(self.channels):
+            if c.encoding == 1:
+                c.raw = self._take(b"ARAW", number)
+                need(len(c.raw) == self.A * c.stride, "DAG-08")
+            elif c.encoding == 2:
+                c.table = self._take(b"ATBL", number)
+                need(len(c.table) == c.table_count * c.stride, "DAG-08")
+                directory = self._take(b"ADIR", number)
+                c.directory = struct.unpack("<%dQ" % (len(directory) // 8), directory)
+                need(len(c.directory) == (self.A + 1023) // 1024, "DAG-08")
+                c.payload = self._take(b"APAY", number)
+                c.bits = (c.table_count - 1).bit_length()
+        need(all(c[0] == b"META" for c in self.chunks), "DAG-01")
+
+    def _container(self):
+        d = self.data
+        need(d[:8] == b"\x89SVX\r\n\x1a\n" and d[16:20] == b"SVDG", "CON-01")
+        need(struct.unpack("<H", d[8:10])[0] == 1 and d[-8:] == b"\x89SVXEND\n", "CON-02, CON-04")
+        table, count, size = struct.unpack("<QQQ", d[-64:-40])
+        need(size == len(d), "CON-04")
+        chunks, at = [], 64
+        for i in range(count):
+            element = d[table + 64 + 64 * i:table + 128 + 64 * i]
+            need(struct.unpack("<Q", element[:8])[0] == at and element[8:] == d[at:at + 56], "CON-06")
+            kind, flags, codec, stored, decoded, elements, stride, zero, ident = struct.unpack("<4sHHQQQIIQ", d[at:at + 48])
+            need(codec == 0 and stored == decoded and zero == 0 and (stride == 0 or stride * elements == stored), "CON-08")
+            if flags == 1 or kind == b"META":
+                chunks.append((kind, ident, d[at + 64:at + 64 + stored]))
+            at = at + 64 + (stored + 63) // 64 * 64
+        need(at == table and d[at:at + 4] == b"TABL", "CON-06")
+        return chunks
+
+    def _take(self, kind, ident):
+        need(self.chunks and self.chunks[0][:2] == (kind, ident), "DAG-01 %s %d" % (kind, ident))
+        return self.chunks.pop(0)[2]
+
+    def _head(self, h):
+        self.depth, layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
+        need(layout == 1 and flags in (0, 1) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
+        self.T, self.lod = max(self.depth, 2), flags == 1
+        self.voxel_to_world = struct.unpack("<16d", h[16:144])
+        self.A, self.root, zero = struct.unpack("<QII", h[144:160])
+        self.level_nodes = struct.unpack("<22Q", h[160:336])
+        need(zero == 0 and len(h) == 336 + 48 * channels, "DAG-02")
+        self.empty = self.level_nodes[0] == 0
+        self.channels = [Channel(h[336 + 48 * i:384 + 48 * i]) for i in range(channels)]
+
+    # --- geometry ---
+
+    def _children(self, level, ref, index):
+        """(octant, reference, attribute index) of a node above the bricks."""
+        ow, _, words = self.levels[level]
+        mask = words[ref]
+        need(0 < mask < 256, "DAG-04")
+        k, slot = ones(mask), 0
+        for octant in range(8):
+            if not mask >> octant & 1:
+                continue
+            offset = 1 if self.lod else 0
+            if slot:
+                at = ref + 1 + k + ow * (slot - 1)
+                offset = words[at] | (words[at + 1] << 32 if ow == 2 else 0)
+            yield octant, words[ref + 1 + slot], index + offset
+            slot += 1
+
+    def _octant(self, brick, index, a):
+        below = (1 << 8 * a) - 1
+        index += ones(brick & below)
+        if self.lod:
+            index += 1 + sum(1 for o in range(a) if brick >> 8 * o & 255)
+        return index
+
+    def _voxel(self, brick, index, b):
+        index += ones(brick & (1 << b) - 1)
+        if self.lod:
+            index += 1 + sum(1 for o in range(b // 8 + 1) if brick >> 8 * o & 255)
+        return index
+
+    def nodes(self):
+        """Every node of the tree of depth T. The index is None where a node has no attribute (inner ones without lod)."""
+        if self.empty:
+            return
+        stack = [(0, self.root, 0, 0, 0, 0)]
+        while stack:
+            level, ref, index, x, y, z = stack.pop()
+            yield level, x, y, z, index if self.lod else None
+            if level < self.T - 2:
+                for o, child, i in reversed(list(self._children(level, ref, index))):
+                    stack.append((level + 1, child, i, 2 * x + (o & 1), 2 * y + (o >> 1 & 1), 2 * z + (o >> 2)))
+                continue
+            brick = self.bricks[ref]
+            need(brick != 0, "DAG-04")
+            for a in range(8):
+                if not brick >> 8 * a & 255:
+                    continue
+                ax, ay, az = 2 * x + (a & 1), 2 * y + (a >> 1 & 1), 2 * z + (a >> 2)
+                yield level + 1, ax, ay, az, self._octant(brick, index, a) if self.lod else None
+                for b in range(8):
+                    if brick >> 8 * a + b & 1:
+                        yield (level + 2, 2 * ax + (b & 1), 2 * ay + (b >> 1 & 1), 2 * az + (b >> 2),
+                               self._voxel(brick, index, 8 * a + b))
+
+    def voxel(self, x, y, z):
+        if self.empty:
+            return None
+        ref, index = self.root, 0
+        octant = lambda level: (x >> self.T - 1 - level & 1) + 2 * (y >> self.T - 1 - level & 1) + 4 * (z >> self.T - 1 - level & 1)
+        for level in range(self.T - 2):
+            found = [(r, i) for o, r, i in self._children(level, ref, index) if o == octant(level)]
+            if not found:
+                return None
+            ref, index = found[0]
+        b = 8 * octant(self.T - 2) + octant(self.T - 1)
+        brick = self.bricks[ref]
+        return self._voxel(brick, index, b) if brick >> b & 1 else None
+
+    # --- attributes ---
+
+    def table_index(self, c, i):
+        entry = c.directory[i // 1024]
+        if entry >> 63:
+            return entry & 0xffffffff
+        s = c.payload[entry:]
+        if not hasattr(c, "cache") or c.cache[0] != entry:
+            c.cache = (entry, s[:8 + 128 + 5000])
+        s = c.cache[1]
+        blocks, = struct.unpack("<Q", s[:8])
+        g = i // 16 % 64
+        begin = (blocks & (2 << g) - 1).bit_length() - 1
+        header, = struct.unpack_from("<H", s, 8 + 2 * ones(blocks & (1 << begin) - 1))
+        mode, data = header & 7, s[header >> 3:]
+        j = i % 1024 - 16 * begin
+        if mode == 0:
+            return bits(data, 0, c.bits)
+        if mode == 7:
+            return bits(data, j * c.bits, c.bits)
+        after = blocks >> g + 1
+        end = g + 1 + (after & -after).bit_length() - 1 if after else 64
+        p = bits(data, j * mode, mode)
+        return bits(data, 16 * (end - begin) * mode + p * c.bits, c.bits)
+
+    def value(self, number, i):
+        c = self.channels[number]
+        need(0 <= i < self.A, "index out of range")
+        if c.encoding == 0:
+            return c.constant[:c.stride]
+        if c.encoding == 1:
+            return c.raw[i * c.stride:(i + 1) * c.stride]
+        t = self.table_index(c, i)
+        need(t < c.table_count, "DAG-09")
+        return c.table[t * c.stride:(t + 1) * c.stride]
+
+
+def decode_normal(v):
+    x, y = struct.unpack("<hh", v)
+    u, w = x / 32767, y / 32767
+    z = 1 - abs(u) - abs(w)
+    if z < 0:
+        u, w = (1 - abs(w)) * (-1 if u < 0 else 1), (1 - abs(u)) * (-1 if w < 0 else 1)
+    n = (u * u + w * w + z * z) ** 0.5
+    return u / n, w / n, z / n
+
+
+if __name__ == "__main__":
+    f = Svdag(sys.argv[1])
+    print("depth %d, attributes %d, channels %s" % (f.depth, f.A, ", ".join(c.name for c in f.channels) or "none"))
+    print("nodes a level: %s" % " ".join(str(n) for n in f.level_nodes[:f.depth + 1]))

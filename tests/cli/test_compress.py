@@ -1,0 +1,259 @@
+"""svo-compress: the files as an independent reader sees them, error bounds, reports, exit codes, same bytes."""
+
+import json
+import math
+import pathlib
+import struct
+import sys
+
+import support
+from support import check, run, tool
+
+sys.path.insert(0, str(pathlib.Path(__file__).parent))
+from svdag_reader import Svdag, decode_normal
+
+
+def octree(folder, depth=5, texture=True):
+    """A .svo with colours (a texture of many) and normals, and its voxels."""
+    png = support.write_png(None, 64, 64, lambda x, y: (x * 4, y * 4, (x * y) % 256)) if texture else None
+    support.cube_glb(folder / "cube.glb", texture=png)
+    svo = folder / "cube.svo"
+    run("svo-voxelize", folder / "cube.glb", "-o", svo, "--depth", depth, "-f")
+    return svo, voxels(folder, svo)
+
+
+def voxels(folder, path):
+    run("svo-dump", path, "--voxels", folder / "v.ply", "-f")
+    return support.ply_voxels(folder / "v.ply")
+
+
+def compress(svo, *args):
+    out = svo.with_suffix(".svdag")
+    run("svo-compress", svo, "-o", out, "-f", "--report", out.with_suffix(".json"), *args)
+    return out, support.report(out.with_suffix(".json"))
+
+
+def srgb_to_linear(v):
+    c = v / 255
+    return c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
+
+
+def lab(rgb):
+    r, g, b = (srgb_to_linear(v) for v in rgb)
+    x = (0.4124564 * r + 0.3575761 * g + 0.1804375 * b) / 0.9504700
+    y = 0.2126729 * r + 0.7151522 * g + 0.0721750 * b
+    z = (0.0193339 * r + 0.1191920 * g + 0.9503041 * b) / 1.0888300
+    f = lambda t: t ** (1 / 3) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116
+    return 116 * f(y) - 16, 500 * (f(x) - f(y)), 200 * (f(y) - f(z))
+
+
+def delta_e94(one, two):
+    l1, a1, b1 = lab(one)
+    l2, a2, b2 = lab(two)
+    c1, c2 = math.hypot(a1, b1), math.hypot(a2, b2)
+    dc = c1 - c2
+    dh2 = max(0, (a1 - a2) ** 2 + (b1 - b2) ** 2 - dc * dc)
+    return math.sqrt((l1 - l2) ** 2 + (dc / (1 + 0.045 * c1)) ** 2 + dh2 / (1 + 0.015 * c1) ** 2)
+
+
+def degrees(a, b):
+    chord = math.sqrt(sum((x - y) ** 2 for x, y in zip(a, b)))
+    return math.degrees(2 * math.asin(min(1, chord / 2)))
+
+
+def channel(f, name):
+    return [c.name for c in f.channels].index(name)
+
+
+def compare(f, want, color_bound=0.0, normal_bound=0.0):
+    """Geometry exactly, attributes within the bounds; (mean, max) of the colours' error."""
+    found, last, errors = 0, -1, []
+    names = {c.name: i for i, c in enumerate(f.channels)}
+    for level, x, y, z, index in f.nodes():
+        if level < f.T:
+            continue
+        v = want.get((x, y, z))
+        check(v is not None, "voxel %s is not in the .svo" % ((x, y, z),))
+        check(last < index < f.A and f.voxel(x, y, z) == index, (last, index, f.A))
+        last, found = index, found + 1
+        if "color" in names:
+            a, b = (v["red"], v["green"], v["blue"]), tuple(f.value(names["color"], index))
+            errors.append(0 if a == b else delta_e94(a, b))
+            check(errors[-1] <= color_bound + 1e-3, (a, b, errors[-1]))
+        if "normal" in names:
+            n = decode_normal(f.value(names["normal"], index))
+            e = degrees((v["nx"], v["ny"], v["nz"]), n)
+            check(e <= normal_bound + 1e-3, (v, n, e))
+    check(found == len(want), (found, len(want)))
+    return (sum(errors) / len(errors), max(errors)) if errors else (0, 0)
+
+
+def test_lossless_at_all_depths(folder):
+    for depth in (0, 1, 2, 3, 5):
+        svo, want = octree(folder, depth)
+        for lod in ("all", "none"):
+            out, report = compress(svo, "--lod", lod)
+            f = Svdag(out)
+            check(f.depth == depth and f.lod == (lod == "all"))
+            compare(f, want)
+            check(not any(e["max"] for e in report["errors"].values()), report["errors"])
+            check(voxels(folder, out) == want, "svo-dump sees other voxels")
+
+
+def test_every_index_is_its_place_in_the_order(folder):
+    svo, _ = octree(folder, 4)
+    for lod in ("all", "none"):
+        f = Svdag(compress(svo, "--lod", lod)[0])
+        indices = [index for _, _, _, _, index in f.nodes() if index is not None]
+        check(indices == list(range(f.A)), indices[:20])
+        counts = [0] * 22
+        for level, _, _, _, _ in f.nodes():
+            counts[level] += 1
+        check(tuple(counts) == f.level_nodes, (counts, f.level_nodes))
+
+
+def test_inner_nodes_are_averages_in_linear_light(folder):
+    svo, _ = octree(folder, 4)
+    f = Svdag(compress(svo)[0])
+    color, path, below = channel(f, "color"), [], {}
+    for level, x, y, z, index in f.nodes():
+        del path[level:]
+        path.append(index)
+        if level == f.T:
+            rgb = f.value(color, index)
+            for i in path[:-1]:
+                below.setdefault(i, []).append(rgb)
+    check(len(below) > 50)
+    for index, colors in below.items():
+        got = f.value(color, index)
+        for k in range(3):
+            mean = sum(srgb_to_linear(c[k]) for c in colors) / len(colors)
+            c = 12.92 * mean if mean <= 0.0031308 else 1.055 * mean ** (1 / 2.4) - 0.055
+            check(abs(got[k] - 255 * c) <= 0.5 + 1e-3, (index, k, got[k], 255 * c))
+
+
+def test_color_bits(folder):
+    svo, want = octree(folder)
+    last = 1e9
+    for bits in (2, 6, 12):
+        out, report = compress(svo, "--color", bits, "--normal", "lossless")
+        f = Svdag(out)
+        values = {f.value(channel(f, "color"), i) for i in range(f.A)}
+        check(len(values) <= 2 ** bits, len(values))
+        mean, most = compare(f, want, color_bound=1e9)
+        e = report["errors"]["color"]
+        check(most <= e["max"] + 1e-3 and e["mean"] <= last, (mean, most, e))
+        last = e["mean"]
+
+
+def test_color_bound_holds(folder):
+    svo, want = octree(folder)
+    sizes = []
+    for bound in (0.5, 2, 8):
+        out, report = compress(svo, "--color", "deltaE=%g" % bound)
+        compare(Svdag(out), want, color_bound=bound)
+        check(0 < report["errors"]["color"]["max"] <= bound, report["errors"])
+        sizes.append(out.stat().st_size)
+    check(sizes == sorted(sizes, reverse=True), sizes)
+
+
+def test_normal_bits_and_bound(folder):
+    support.sphere_obj(folder / "s.obj")
+    svo = folder / "s.svo"
+    run("svo-voxelize", folder / "s.obj", "-o", svo, "--depth", 5)
+    want = voxels(folder, svo)
+    for value, bound in (("8", 12), ("16", 1), ("32", 0), ("deg=5", 5), ("deg=0.3", 0.3), ("deg=0.001", 0.001)):
+        out, report = compress(svo, "--normal", value)
+        compare(Svdag(out), want, normal_bound=bound)
+        check(report["errors"]["normal"]["max"] <= bound, (value, report["errors"]))
+
+
+def test_constant_channels_are_left_out(folder):
+    svo, want = octree(folder, 4, texture=False)
+    out, report = compress(svo)
+    f = Svdag(out)
+    compare(f, want)
+    left = {o["channel"]: o for o in report["output"]["left_out"] if "same everywhere" in o["what"]}
+    for c in f.channels:
+        check((c.encoding == 0) == (c.name in left), (c.name, c.encoding, left))
+        if c.name in left:
+            check(left[c.name]["bytes_saved"] == f.A * c.stride)
+
+
+def test_same_bytes_for_any_threads_and_through_pipes(folder):
+    svo, _ = octree(folder, 6)
+    for args in ((), ("--color", "5", "--normal", "deg=2"), ("--color", "deltaE=3", "--lod", "none")):
+        files = []
+        for threads in (1, 2, 7):
+            out, _ = compress(svo, "--threads", threads, *args)
+            files.append(out.read_bytes())
+        check(files[0] == files[1] == files[2])
+    # stdin has no name, so the provenance differs, and nothing else
+    piped = tool("svo-compress", "-", "-o", "-", "--color", "5", stdin=svo.read_bytes())
+    check(piped.code == 0, piped)
+    (folder / "p.svdag").write_bytes(piped.out)
+    f, g = Svdag(folder / "p.svdag"), Svdag(compress(svo, "--color", "5")[0])
+    check((f.A, f.levels, f.bricks) == (g.A, g.levels, g.bricks))
+    check([f.value(0, i) for i in range(f.A)] == [g.value(0, i) for i in range(g.A)])
+
+
+def test_report_adds_up(folder):
+    svo, want = octree(folder)
+    out, report = compress(svo)
+    o = report["output"]
+    check(o["bytes"] == out.stat().st_size and o["attributes"] == Svdag(out).A)
+    check(sum(s["bytes"] for s in o["sections"]) == o["geometry_bytes"] + o["attribute_bytes"], o)
+    check(o["geometry_bytes"] + o["attribute_bytes"] <= o["bytes"])
+    check(report["input"]["voxels"] == len(want) and report["input"]["bytes"] == svo.stat().st_size, report["input"])
+    check(abs(o["bytes_per_voxel"] - o["bytes"] / len(want)) < 1e-9)
+    check({p["name"] for p in report["phases"]} >= {"read", "geometry", "attributes", "write"}, report["phases"])
+    for l in o["levels"]:
+        check(0 < l.get("unique", 1) <= l["nodes"], l)
+
+
+def test_empty_octree(folder):
+    (folder / "e.obj").write_text("v 0 0 0\n")
+    run("svo-voxelize", folder / "e.obj", "-o", folder / "e.svo", "--depth", 6)
+    out, report = compress(folder / "e.svo")
+    f = Svdag(out)
+    check(f.empty and f.A == 0 and list(f.nodes()) == [] and report["input"]["voxels"] == 0)
+
+
+def test_exit_codes(folder):
+    svo, _ = octree(folder, 4)
+    out = folder / "x.svdag"
+    for code, args in (
+            (1, (svo,)), (1, (svo, "-o", out, "--color", "17")), (1, (svo, "-o", out, "--color", "deltaE=0")),
+            (1, (svo, "-o", out, "--color", "deltaE=nan")), (1, (svo, "-o", out, "--color", "8x")), (1, (svo, "-o", out, "--normal", "7")),
+            (1, (svo, "-o", out, "--normal", "deg=")), (1, (svo, "-o", out, "--lod", "some")), (1, (svo, "-o", out, "--geometry", "x")),
+            (1, (svo, "-o", svo)), (2, (folder / "none.svo", "-o", out)), (2, (svo, "-o", folder / "no/x.svdag")),
+            (3, (folder / "cube.glb", "-o", out)), (5, (svo, "-o", out, "--geometry", "symmetric")), (5, (svo, "-o", out, "--geometry", "best")),
+            (6, (svo, "-o", out, "--memory", "20K"))):
+        r = tool("svo-compress", *args)
+        check(r.code == code, r)
+        check(r.err.startswith("svo-compress: "), r)
+        check(not out.exists(), "left behind: %s" % (args,))
+    run("svo-compress", svo, "-o", out)
+    check(tool("svo-compress", svo, "-o", out).code == 2, "an existing file was replaced without --force")
+    # damage: nothing is written
+    data = bytearray(svo.read_bytes())
+    for at in (3, len(data) // 2, len(data) - 20):
+        bad = bytearray(data)
+        bad[at] ^= 1
+        (folder / "bad.svo").write_bytes(bad)
+        r = tool("svo-compress", folder / "bad.svo", "-o", folder / "bad.svdag")
+        check(r.code == 3 and not (folder / "bad.svdag").exists(), r)
+    (folder / "cut.svo").write_bytes(data[:len(data) // 2])
+    check(tool("svo-compress", folder / "cut.svo", "-o", folder / "bad.svdag").code == 3)
+
+
+def test_a_real_model(folder):
+    model = support.model("C_textured/spot_cow/spot_triangulated.obj")
+    svo = folder / "cow.svo"
+    run("svo-voxelize", model, "-o", svo, "--depth", 6)
+    want = voxels(folder, svo)
+    compare(Svdag(compress(svo)[0]), want)
+    compare(Svdag(compress(svo, "--color", "deltaE=2", "--normal", "deg=3")[0]), want, 2, 3)
+
+
+support.main(globals())
