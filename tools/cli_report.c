@@ -120,7 +120,7 @@ json_t *cli_options_json(const cli *c, bool common)
         cli_option table[CLI_MAX_COMMON];
         size_t count = cli_common_options((cli *)(uintptr_t)c, &help, &version, table);
         for (size_t i = 0; i < count; i++)
-            if (table[i].value != &help && table[i].value != &version)
+            if (table[i].value != &help && table[i].value != &version && table[i].value != &c->verbose) /* a count, not a flag */
                 json_object_set_new(out, table[i].name, option_value(&table[i]));
         json_object_set_new(out, "verbose", json_integer(c->verbose));
     } else {

@@ -143,7 +143,7 @@ TEST(options_in_all_their_forms)
     CHECK(ran.code == 0);
     EXPECT_OUT("depth=8 tolerance=0.5 eye=0,1,2 mode=symmetric text=- cache=1610612736 lod=0 out=b threads=0 memory=0 verbose=0 quiet=0 in=[a]");
     run("--depth 21 a --output=b --tolerance=1e-3 --eye -1,.5,3e2 --mode fast --cache 64K --lod --threads 7 --memory 2G -v -v - c");
-    CHECK(ran.code == 0);
+    CHECK_MSG(ran.code == 0, "exit %d: %s", ran.code, ran.err);
     EXPECT_OUT("depth=21! tolerance=0.001 eye=-1,0.5,300! mode=fast text=- cache=65536 lod=1 out=b threads=7 memory=2147483648 verbose=2 quiet=0 in=[a][-][c]");
     run("-d3 -lqob a --text=--strange");
     CHECK(ran.code == 0);
