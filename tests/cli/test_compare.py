@@ -1,0 +1,169 @@
+"""svo-compare on files that the other tools made, and on images made here."""
+
+import math
+
+import support
+from support import check, run, tool
+
+
+def compare(*args, code=0, **more):
+    r = tool("svo-compare", *args, "--json", **more)
+    check(r.code == code, "expected %s: %s" % (code, r))
+    return r.json
+
+
+def octree(folder, name, mesh, *options):
+    run("svo-voxelize", mesh, "-o", folder / name, *(options or ("--depth", 5)))
+    return folder / name
+
+
+def voxels(folder, path):
+    run("svo-dump", path, "--voxels", folder / "v.ply", "--force")
+    return support.ply_voxels(folder / "v.ply")
+
+
+def noise_texture(seed=1):
+    return support.write_png(None, 64, 64, lambda x, y: ((x * 37 + y * 91 + seed) % 256, (x * y * 7 + seed) % 256, (x * 3 + 11 * y) % 256))
+
+
+def test_images(folder):
+    a, b = folder / "a.png", folder / "b.png"
+    pixel = lambda x, y: ((x * 5) % 256, (y * 7) % 256, (x + y) % 256)
+    changed = {(3, 4): (10, 0, 0), (30, 31): (0, 0, 4)}
+    support.write_png(a, 40, 36, pixel)
+    support.write_png(b, 40, 36, lambda x, y: tuple(p + d for p, d in zip(pixel(x, y), changed.get((x, y), (0, 0, 0)))))
+    r = compare(a, b, code=7)
+    n = 40 * 36
+    check(r["different_pixels"] == 2 and r["pixels"] == n and r["max_difference"] == 10 and not r["identical"] and r["differs"], r)
+    check(math.isclose(r["psnr_db"]["r"], 10 * math.log10(255**2 / (100 / n)), rel_tol=1e-12), r)
+    check(math.isclose(r["psnr_db"]["all"], 10 * math.log10(255**2 / (116 / n / 3)), rel_tol=1e-12), r)
+    check(r["psnr_db"]["g"] is None and "a" not in r["psnr_db"] and 0.99 < r["ssim"] < 1, r)
+    r = compare(a, a)
+    check(r["identical"] and not r["differs"] and r["psnr_db"]["all"] is None and r["ssim"] == 1, r)
+    for tolerance, code in ((["--psnr", 50], 0), (["--psnr", 70], 7), (["--max-diff", 10], 0), (["--max-diff", 9], 7), (["--ssim", 0.9], 0), (["--ssim", 1], 7),
+                            (["--psnr", 50, "--max-diff", 9], 7)):
+        compare(a, b, *tolerance, code=code)
+    support.write_png(b, 36, 40, pixel)
+    r = compare(a, b, code=7)
+    check("sizes" in r["reasons"][0], r)
+    compare(a, b, "--psnr", 0, code=7)
+    # an alpha channel counts as soon as one image uses it
+    support.write_png(b, 40, 36, lambda x, y: pixel(x, y) + (255,), channels=4)
+    check(compare(a, b)["identical"], "opaque alpha is no difference")
+    support.write_png(b, 40, 36, lambda x, y: pixel(x, y) + (254,), channels=4)
+    check(compare(a, b, code=7)["psnr_db"]["a"] is not None, "alpha")
+    # from stdin
+    check(compare("-", a, stdin=a.read_bytes())["identical"], "stdin")
+
+
+def test_octree_against_itself_in_both_forms(folder):
+    mesh = support.cube_glb(folder / "c.glb", texture=noise_texture())
+    svo = octree(folder, "c.svo", mesh, "--depth", 6)
+    run("svo-compress", svo, "-o", folder / "c.svdag")
+    for a in (svo, folder / "c.svdag"):
+        for b in (svo, folder / "c.svdag"):
+            r = compare(a, b)
+            check(r["identical"] and r["geometry"]["equal"] and r["geometry"]["both"] == r["a"]["voxels"] == r["b"]["voxels"], r)
+    check(compare("-", folder / "c.svdag", stdin=svo.read_bytes())["identical"], "stdin")
+    check(compare(svo, "-", stdin=(folder / "c.svdag").read_bytes())["identical"], "stdin")
+
+
+def test_geometry_against_the_dump(folder):
+    a = octree(folder, "a.svo", support.sphere_obj(folder / "a.obj", 12), "--depth", 5, "--attributes", "none")
+    b = octree(folder, "b.svo", support.sphere_obj(folder / "b.obj", 7), "--depth", 5, "--attributes", "none")
+    run("svo-compress", b, "-o", folder / "b.svdag")
+    va, vb = set(voxels(folder, a)), set(voxels(folder, b))
+    check(va - vb and vb - va, "the two must differ")
+    morton = lambda v: sum((v[k] >> i & 1) << (3 * i + k) for i in range(21) for k in range(3))
+    first = min(va ^ vb, key=morton)
+    for other in (b, folder / "b.svdag"):
+        r = compare(a, other, code=7)
+        g = r["geometry"]
+        check((g["only_a"], g["only_b"], g["both"]) == (len(va - vb), len(vb - va), len(va & vb)), r)
+        check(tuple(g["first"]) == first and g["first_in"] == ("a" if first in va else "b"), r)
+
+
+def lab(rgb):
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in rgb)]
+    rows = ((0.4124, 0.3576, 0.1805), (0.2126, 0.7152, 0.0722), (0.0193, 0.1192, 0.9505))
+    x, y, z = (sum(m * c for m, c in zip(row, linear)) / sum(row) for row in rows)
+    f = lambda t: t ** (1 / 3) if t > 216 / 24389 else (24389 / 27 * t + 16) / 116
+    return 116 * f(y) - 16, 500 * (f(x) - f(y)), 200 * (f(y) - f(z))
+
+
+def delta_e94(reference, other):
+    (l1, a1, b1), (l2, a2, b2) = lab(reference), lab(other)
+    c1, c2 = math.hypot(a1, b1), math.hypot(a2, b2)
+    h2 = max(0, (a1 - a2) ** 2 + (b1 - b2) ** 2 - (c1 - c2) ** 2)
+    return math.sqrt((l1 - l2) ** 2 + ((c1 - c2) / (1 + 0.045 * c1)) ** 2 + h2 / (1 + 0.015 * c1) ** 2)
+
+
+def test_attributes_against_the_dump(folder):
+    svo = octree(folder, "c.svo", support.cube_glb(folder / "c.glb", texture=noise_texture()), "--depth", 5)
+    run("svo-compress", svo, "-o", folder / "c.svdag", "--color", 4, "--normal", 8)
+    before, after = voxels(folder, svo), voxels(folder, folder / "c.svdag")
+    color = lambda v: (v["red"], v["green"], v["blue"])
+    normal = lambda v: (v["nx"], v["ny"], v["nz"])
+    errors = [delta_e94(color(before[p]), color(after[p])) for p in before]
+
+    def degrees(u, v):
+        chord = math.dist(u, v)
+        return math.degrees(2 * math.asin(min(1, chord / 2)))
+
+    angles = [degrees(normal(before[p]), normal(after[p])) for p in before]
+    r = compare(svo, folder / "c.svdag", code=7)
+    channels = {c["name"]: c for c in r["channels"]}
+    c, n = channels["color"], channels["normal"]
+    check(r["geometry"]["equal"] and max(errors) > 1, r)
+    check(math.isclose(c["max"], max(errors), rel_tol=1e-3) and math.isclose(c["mean"], sum(errors) / len(errors), rel_tol=1e-3), (c, max(errors)))
+    check(c["different"] == sum(e > 0 for e in errors) and c["unit"] == "deltaE94", c)
+    check(abs(n["max"] - max(angles)) < 0.01 and abs(n["mean"] - sum(angles) / len(angles)) < 0.01, (n, max(angles)))
+    worst = tuple(c["worst"])
+    check(math.isclose(delta_e94(color(before[worst]), color(after[worst])), max(errors), rel_tol=1e-3), worst)
+    # tolerances decide, each for its kind
+    above_c, above_n = c["max"] * 1.001, n["max"] * 1.001 + 1e-9
+    compare(svo, folder / "c.svdag", "--deltaE", above_c, "--deg", above_n)
+    compare(svo, folder / "c.svdag", "--deltaE", c["max"] * 0.999, "--deg", above_n, code=7)
+    if n["max"] > 0.01:
+        compare(svo, folder / "c.svdag", "--deltaE", above_c, "--deg", n["max"] * 0.999, code=7)
+    compare(svo, folder / "c.svdag", "--geometry-only")
+
+
+def test_other_grids(folder):
+    mesh = support.cube_obj(folder / "c.obj")
+    a = octree(folder, "a.svo", mesh, "--depth", 4)
+    deeper = octree(folder, "d.svo", mesh, "--depth", 5)
+    r = compare(a, deeper, code=7)
+    check("depths" in r["reasons"][0] and r["a"]["voxels"] > 0 and r["b"]["voxels"] > r["a"]["voxels"], r)
+    moved = octree(folder, "m.svo", support.cube_obj(folder / "m.obj", offset=(100, 0, 0)), "--depth", 4)
+    r = compare(a, moved, code=7)
+    check(not r["same_transform"] and abs(r["transform_distance"] - 100) < 1e-6, r)
+    plain = octree(folder, "p.svo", mesh, "--depth", 4, "--attributes", "none")
+    r = compare(a, plain, code=7)
+    check(any("only A" in reason for reason in r["reasons"]) and r["geometry"]["equal"], r)
+    compare(a, plain, "--geometry-only")
+
+
+def test_scenes(folder):
+    import json
+    octree(folder, "a.svo", support.cube_obj(folder / "a.obj"), "--depth", 4)
+    run("svo-compress", folder / "a.svo", "-o", folder / "a.svdag")
+    for name, x in (("one", 3), ("two", 3), ("three", 4)):
+        scene = {"assets": [{"name": "a", "file": "a.svdag"}], "instances": [{"asset": "a"}, {"asset": "a", "translation": [x, 0, 0]}]}
+        (folder / (name + ".json")).write_text(json.dumps(scene))
+        run("svo-pack", folder / (name + ".json"), "-o", folder / (name + ".svscene"))
+    check(compare(folder / "one.svscene", folder / "two.svscene")["identical"], "same scene")
+    r = compare(folder / "one.svscene", folder / "three.svscene", code=7)
+    check(r["different_chunks"] >= 1 and not r["identical"], r)
+
+
+def test_real_models(folder):
+    path = support.model("C_textured/spot_cow/spot_triangulated.obj")
+    a = octree(folder, "a.svo", path, "--depth", 7)
+    run("svo-compress", a, "-o", folder / "a.svdag")
+    check(compare(a, folder / "a.svdag")["identical"], "lossless")
+    text = run("svo-compare", a, folder / "a.svdag").text
+    check("identical" in text and "voxels" in text, text)
+
+
+support.main(globals())
