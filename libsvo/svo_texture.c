@@ -161,8 +161,8 @@ float svo_pyramid_most_alpha(const svo_pyramid *p, const svo_texture *how, doubl
     /* rounding of the products above may lose a texel at an edge: widen coarse levels by one */
     if (level != 0) x0--, x1++, y0--, y1++;
     uint32_t w = p->width[level], h = p->height[level];
-    if (x1 - x0 >= w) x0 = 0, x1 = w - 1;
-    if (y1 - y0 >= h) y0 = 0, y1 = h - 1;
+    if (x1 - x0 > 3 && x1 - x0 >= w) x0 = 0, x1 = w - 1;
+    if (y1 - y0 > 3 && y1 - y0 >= h) y0 = 0, y1 = h - 1;
     uint8_t most = 0;
     for (double y = y0; y <= y1; y++)
         for (double x = x0; x <= x1; x++) {

@@ -5,6 +5,7 @@
 
 #include "svo_bin.h"
 #include "svo_block.h"
+#include "svo_distance.h"
 #include "svo_morton.h"
 #include "svo_raster.h"
 #include "svo_shade.h"
@@ -12,8 +13,7 @@
 
 enum {
     MAX_WORKERS = 256,
-    SLICE_VOXELS = 1 << 17,  /* voxels averaged at a time: bounds the memory for sums */
-    SAMPLE_BITS = 4          /* distances are measured in one cube of 2^SAMPLE_BITS voxels a chunk */
+    SLICE_VOXELS = 1 << 17 /* voxels averaged at a time: bounds the memory for sums */
 };
 
 /* Scratch of a worker. */
@@ -33,7 +33,7 @@ typedef struct run {
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
     worker workers[MAX_WORKERS];
-    bool has_previous;
+    bool started, has_previous;
     uint64_t previous;
 } run;
 
@@ -42,11 +42,10 @@ typedef struct item {
     uint64_t code;
     svo_buffer list; /* uint32_t triangle numbers */
     void *blob;
-    bool has_blob;
+    bool has_blob, first;
     svo_block_counts counts;
     uint64_t masked;
-    uint64_t distances;
-    double distance_sum, distance_max;
+    svo_distances distances; /* of one small cube in it, chosen by its code */
     run *owner; /* set once the slot has been used */
 } item;
 
@@ -362,8 +361,10 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     }
     it->has_blob = false;
     it->blob = NULL;
-    it->masked = it->distances = 0;
-    it->distance_sum = it->distance_max = 0;
+    it->masked = 0;
+    it->distances = (svo_distances){0};
+    it->first = !r->started;
+    r->started = true;
     return svo_bins_next(r->bins, &it->code, &it->list, more, err);
 }
 
@@ -401,6 +402,11 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
             }
     if (result == SVO_OK && it->counts.nodes[7] != 0) {
         if (r->shader != NULL && r->info->channel_count != 0 && !shade(&s, box_lo, box_hi)) result = out_of_memory(err);
+        /* The sample: in every chunk of a small octree, in one of eight of a large one, and in the first. */
+        uint64_t choice = (it->code + 1) * 0x9e3779b97f4a7c15u >> 32;
+        if (it->first || r->info->depth <= 9 || choice % 8 == 0)
+            svo_block_distances(w->block, r->bins, &r->placement, &r->grid, (const uint32_t *)(const void *)it->list.data, it->list.size / 4,
+                                s.corner_axis, last + 1, choice / 8, &it->distances);
         if (result == SVO_OK) {
             /* A grid smaller than the block lies in its low corner: drop the nodes above. */
             uint32_t skip = SVO_CHUNK_LEVELS - levels;
@@ -423,6 +429,9 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     item *it = slot;
     r->report->masked_voxels += it->masked;
     if (!it->has_blob) return SVO_OK;
+    r->report->distance_samples += it->distances.count;
+    r->report->distance_mean += it->distances.sum; /* the sum until the end */
+    if (it->distances.most > r->report->distance_max) r->report->distance_max = it->distances.most;
     svo_tree_counts *counts = &r->report->counts;
     uint32_t level = svo_chunk_level(r->info->depth), levels = block_levels(r);
     svo_counts_ancestors(counts, level, r->has_previous, r->previous, it->code);
@@ -474,6 +483,7 @@ static svo_result run_all(run *r, const svo_voxelize_options *o, uint32_t thread
     started = svo_seconds();
     svo_pipeline p = {.threads = threads, .item_size = sizeof(item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
     svo_result result = svo_pipeline_run(&p, err);
+    if (report->distance_samples != 0) report->distance_mean /= (double)report->distance_samples;
     report->seconds_voxels = svo_seconds() - started;
     return result;
 }
@@ -489,7 +499,8 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, options->memory != 0 ? options->memory : UINT64_MAX, options->allocator);
     run *r = svo_calloc(&limit.base, 1, sizeof *r);
-    if (r == NULL) return out_of_memory(err);
+    if (r == NULL)
+        return options->memory != 0 ? svo_fail(err, SVO_LIMIT, "%llu bytes of memory are not enough to begin", (unsigned long long)options->memory) : out_of_memory(err);
     uint32_t threads = options->threads != 0 ? options->threads : svo_processor_count();
     if (threads > MAX_WORKERS) threads = MAX_WORKERS;
     r->info = info;
@@ -502,9 +513,12 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     for (int i = 0; i < 3; i++) r->grid.origin[i] = info->voxel_to_world[4 * i + 3];
     svo_error local = {0};
     svo_result result = run_all(r, options, threads, &local);
-    if (result == SVO_OUT_OF_MEMORY && options->memory != 0)
-        result = svo_fail(&local, SVO_LIMIT, "%llu MB of memory are not enough (%s); give more, or use fewer threads",
-                          (unsigned long long)(options->memory / 1000000), "see --memory");
+    if (result == SVO_OUT_OF_MEMORY && options->memory != 0) {
+        char why[120];
+        memcpy(why, local.message, sizeof why - 1);
+        why[sizeof why - 1] = 0;
+        result = svo_fail(&local, SVO_LIMIT, "%.1f MB of memory are not enough: %s; allow more, or use fewer threads", (double)options->memory / 1e6, why);
+    }
     for (uint32_t i = 0; i < MAX_WORKERS; i++) {
         worker *w = &r->workers[i];
         if (w->block == NULL) continue;
