@@ -6,7 +6,7 @@
 #include "svo_task.h"
 #include "svo_texture.h"
 
-enum { TEXTURES = 4 }; /* base colour, opacity, emissive, metallic-roughness */
+enum { BASE, OPACITY, EMISSIVE, METALLIC_ROUGHNESS }; /* svo_facet.texture */
 
 typedef struct shade_material {
     svo_material m;
@@ -152,6 +152,30 @@ bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool
     return true;
 }
 
+/* Normals of the corners. They are mapped before they are interpolated: the map is linear, so that is the same. */
+static void corner_normals(const svo_shader *s, svo_facet *t)
+{
+    svo_vec3 face = svo_normalize(svo_v3(t->normal[0], t->normal[1], t->normal[2]));
+    /* A mirroring transform turns the corners' order round; the front stays the front. */
+    t->mirrored = s->mirrored[t->instance];
+    if (t->mirrored) face = svo_scale(face, -1);
+    svo_vec3 n[3] = {face, face, face};
+    t->smooth = false;
+    if (t->part->normals != NULL) {
+        const svo_mat4 *m = &s->placement->mesh->instances[t->instance].transform;
+        double longest = 0;
+        for (int k = 0; k < 3; k++) {
+            const float *v = t->part->normals + 3 * (uint64_t)t->vertex[k];
+            n[k] = svo_mat4_normal(m, svo_normalize(svo_v3(v[0], v[1], v[2])));
+            longest = fmax(longest, svo_length(n[k]));
+        }
+        bool usable = longest > 0 && isfinite(longest);
+        for (int k = 0; k < 3; k++) n[k] = usable ? svo_scale(n[k], 1 / longest) : face;
+        t->smooth = usable;
+    }
+    for (int k = 0; k < 3; k++) t->corner_normal[k][0] = n[k].x, t->corner_normal[k][1] = n[k].y, t->corner_normal[k][2] = n[k].z;
+}
+
 void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], svo_facet *out)
 {
     const svo_group *g = &s->placement->groups[group];
@@ -175,6 +199,14 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
     out->axis = fabs(out->normal[1]) > fabs(out->normal[0]) ? 1 : 0;
     if (fabs(out->normal[2]) > fabs(out->normal[out->axis])) out->axis = 2;
     out->length = sqrt(out->normal[0] * out->normal[0] + out->normal[1] * out->normal[1] + out->normal[2] * out->normal[2]);
+    double n = out->normal[out->axis];
+    if (n != 0) {
+        uint32_t i = (out->axis + 1) % 3, j = (out->axis + 2) % 3;
+        out->per_x[0] = (c[2][j] - c[0][j]) / n, out->per_y[0] = -(c[2][i] - c[0][i]) / n;
+        out->per_x[1] = -(c[1][j] - c[0][j]) / n, out->per_y[1] = (c[1][i] - c[0][i]) / n;
+    }
+    for (int k = 0; k < 4; k++) out->texture[k].ready = false;
+    if (s->layout.normal < SVO_MAX_CHANNELS) corner_normals(s, out);
 }
 
 /* --- polygons ------------------------------------------------------------------------------------------------- */
@@ -244,18 +276,17 @@ static void barycentric(const svo_facet *t, const double p[3], double b[3])
         b[high] += x;
         return;
     }
-    uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
-    const double (*c)[3] = t->corner;
-    double x = p[i] - c[0][i], y = p[j] - c[0][j];
-    b[1] = (x * (c[2][j] - c[0][j]) - y * (c[2][i] - c[0][i])) / n;
-    b[2] = ((c[1][i] - c[0][i]) * y - (c[1][j] - c[0][j]) * x) / n;
+    double x = p[(t->axis + 1) % 3] - t->corner[0][(t->axis + 1) % 3], y = p[(t->axis + 2) % 3] - t->corner[0][(t->axis + 2) % 3];
+    b[1] = x * t->per_x[0] + y * t->per_y[0];
+    b[2] = x * t->per_x[1] + y * t->per_y[1];
     b[0] = 1 - b[1] - b[2];
+    if (b[0] >= 0 && b[1] >= 0 && b[2] >= 0) return;
     double sum = 0;
     for (int k = 0; k < 3; k++) {
         if (!(b[k] > 0)) b[k] = 0;
         sum += b[k];
     }
-    for (int k = 0; k < 3; k++) b[k] /= sum;
+    for (int k = 0; k < 3; k++) b[k] = sum > 0 ? b[k] / sum : 1.0 / 3;
 }
 
 /* Area (voxel faces) and centroid; the middle of its corners when it has no area, the voxel's middle when it is empty. */
@@ -288,39 +319,54 @@ static double area_of(const svo_facet *t, const svo_polygon *polygon, const int3
 
 /* --- reading textures ----------------------------------------------------------------------------------------- */
 
-static void uv_at(const svo_facet *t, const svo_texture *how, const double b[3], double uv[2])
+static const svo_facet_texture *facet_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p)
 {
+    svo_facet_texture *f = &t->texture[slot];
+    if (f->ready) return f;
+    f->ready = true;
     const float *set = t->part->uvs[how->uv_set];
-    double u = 0, v = 0;
-    if (set != NULL)
-        for (int k = 0; k < 3; k++) {
-            u += b[k] * set[2 * (uint64_t)t->vertex[k]];
-            v += b[k] * set[2 * (uint64_t)t->vertex[k] + 1];
-        }
-    uv[0] = how->transform[0] * u + how->transform[1] * v + how->transform[2];
-    uv[1] = how->transform[3] * u + how->transform[4] * v + how->transform[5];
+    for (int k = 0; k < 3; k++) {
+        double u = set != NULL ? set[2 * (uint64_t)t->vertex[k]] : 0, v = set != NULL ? set[2 * (uint64_t)t->vertex[k] + 1] : 0;
+        f->corner[k][0] = (how->transform[0] * u + how->transform[1] * v + how->transform[2]) * p->width[0];
+        f->corner[k][1] = (how->transform[3] * u + how->transform[4] * v + how->transform[5]) * p->height[0];
+        /* what no texture can mean must not spread through the arithmetic */
+        for (int i = 0; i < 2; i++)
+            if (!(fabs(f->corner[k][i]) < 1e12)) f->corner[k][i] = 0;
+    }
+    double e[2], g[2];
+    for (int i = 0; i < 2; i++) {
+        e[i] = f->corner[1][i] - f->corner[0][i];
+        g[i] = f->corner[2][i] - f->corner[0][i];
+        f->per_x[i] = e[i] * t->per_x[0] + g[i] * t->per_x[1];
+        f->per_y[i] = e[i] * t->per_y[0] + g[i] * t->per_y[1];
+    }
+    f->density = t->length > 0 ? fabs(e[0] * g[1] - e[1] * g[0]) / t->length : 0;
+    return f;
+}
+
+/* Texel coordinates at a point of the facet. Points of a clipped polygon are inside; others are brought there. */
+static void texel_at(const svo_facet *t, const svo_facet_texture *f, const double p[3], bool inside, double out[2])
+{
+    if (inside && t->normal[t->axis] != 0) {
+        double x = p[(t->axis + 1) % 3] - t->corner[0][(t->axis + 1) % 3], y = p[(t->axis + 2) % 3] - t->corner[0][(t->axis + 2) % 3];
+        for (int i = 0; i < 2; i++) out[i] = f->corner[0][i] + x * f->per_x[i] + y * f->per_y[i];
+        return;
+    }
+    double b[3];
+    barycentric(t, p, b);
+    for (int i = 0; i < 2; i++) out[i] = b[0] * f->corner[0][i] + b[1] * f->corner[1][i] + b[2] * f->corner[2][i];
 }
 
 /* Average of a texture over a polygon: a fan of triangles about the centroid, each read at its own centroid in the mip
  * level where a texel has its size; one reading where the whole polygon is smaller than a texel. */
-static void read_texture(const svo_facet *t, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon,
+static void read_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon,
                          const double centre[3], double area, float out[4])
 {
-    double corner[3][2], b[3], uv[2];
-    for (int k = 0; k < 3; k++) {
-        double unit[3] = {k == 0, k == 1, k == 2};
-        uv_at(t, how, unit, corner[k]);
-        corner[k][0] *= p->width[0];
-        corner[k][1] *= p->height[0];
-    }
-    double texels = fabs((corner[1][0] - corner[0][0]) * (corner[2][1] - corner[0][1]) - (corner[1][1] - corner[0][1]) * (corner[2][0] - corner[0][0]));
-    double density = t->length > 0 ? texels / t->length : 0; /* texels a voxel face */
-    double footprint = density * area;
-    barycentric(t, centre, b);
-    if (polygon->count < 3 || !(area > 0) || (footprint < 0.25 && !how->nearest)) {
-        uv_at(t, how, b, uv);
-        double level = footprint > 1 ? 0.5 * log2(footprint) : 0;
-        svo_pyramid_sample(p, how, uv[0], uv[1], level, out);
+    const svo_facet_texture *f = facet_texture(t, slot, how, p);
+    double footprint = f->density * area, at[2], width = 1.0 / p->width[0], height = 1.0 / p->height[0];
+    if (polygon->count < 3 || !(area > 0) || (footprint < 1 && !how->nearest)) {
+        texel_at(t, f, centre, polygon->count > 0, at);
+        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, footprint > 1 ? 0.5 * log2(footprint) : 0, out);
         return;
     }
     double sum[4] = {0, 0, 0, 0}, total = 0;
@@ -329,52 +375,52 @@ static void read_texture(const svo_facet *t, const svo_texture *how, const svo_p
     for (uint32_t k = 0; k < polygon->count; k++) {
         const double *a = polygon->at[k], *c = polygon->at[k + 1 < polygon->count ? k + 1 : 0];
         double cross = fabs((a[i] - centre[i]) * (c[j] - centre[j]) - (a[j] - centre[j]) * (c[i] - centre[i]));
-        if (!(cross > 0)) continue;
+        double part = 0.5 * cross * scale;
+        if (!(part > 1e-3 * area)) continue;
         double middle[3];
-        for (int x = 0; x < 3; x++) middle[x] = (a[x] + c[x] + centre[x]) / 3;
-        barycentric(t, middle, b);
-        uv_at(t, how, b, uv);
-        double part = 0.5 * cross * scale * density;
+        for (int x = 0; x < 3; x++) middle[x] = (a[x] + c[x] + centre[x]) * (1.0 / 3);
+        texel_at(t, f, middle, true, at);
+        part *= f->density;
         float texel[4];
-        svo_pyramid_sample(p, how, uv[0], uv[1], part > 1 ? 0.5 * log2(part) : 0, texel);
+        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, part > 1 ? 0.5 * log2(part) : 0, texel);
         for (int x = 0; x < 4; x++) sum[x] += cross * (double)texel[x];
         total += cross;
     }
     if (total > 0) {
         for (int x = 0; x < 4; x++) out[x] = (float)(sum[x] / total);
     } else {
-        uv_at(t, how, b, uv);
-        svo_pyramid_sample(p, how, uv[0], uv[1], 0, out);
+        texel_at(t, f, centre, true, at);
+        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, 0, out);
     }
 }
 
-/* Largest alpha that a texture has anywhere in the polygon. */
-static double most_alpha(const svo_facet *t, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon, const double centre[3])
+/* Largest alpha (red for a linear image) that a texture has anywhere in the polygon. */
+static double most_alpha(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon, const double centre[3])
 {
-    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, most = 0;
+    const svo_facet_texture *f = facet_texture(t, slot, how, p);
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, most = 0, width = p->width[0], height = p->height[0];
     bool color = p->kind == SVO_TEXEL_COLOR_ALPHA;
     for (uint32_t k = 0; k <= polygon->count; k++) {
-        double b[3], uv[2];
+        double at[2];
         float texel[4];
-        barycentric(t, k == polygon->count ? centre : polygon->at[k], b);
-        uv_at(t, how, b, uv);
-        svo_pyramid_sample(p, how, uv[0], uv[1], 0, texel);
-        double alpha = color ? texel[3] : texel[0];
+        texel_at(t, f, k == polygon->count ? centre : polygon->at[k], polygon->count > 0, at);
+        svo_pyramid_sample(p, how, at[0] / width, at[1] / height, 0, texel);
+        double alpha = (double)(color ? texel[3] : texel[0]);
         if (alpha > most) most = alpha;
         for (int i = 0; i < 2; i++) {
-            if (uv[i] < low[i]) low[i] = uv[i];
-            if (uv[i] > high[i]) high[i] = uv[i];
+            if (at[i] < low[i]) low[i] = at[i];
+            if (at[i] > high[i]) high[i] = at[i];
         }
     }
     /* Smaller than a texel: the readings above have seen it all. Larger: look at every texel. */
-    if (!color || ((high[0] - low[0]) * p->width[0] <= 1 && (high[1] - low[1]) * p->height[0] <= 1)) return most;
-    double texels = svo_pyramid_most_alpha(p, how, low[0], high[0], low[1], high[1]);
+    if (!color || (high[0] - low[0] <= 1 && high[1] - low[1] <= 1)) return most;
+    double texels = (double)svo_pyramid_most_alpha(p, how, low[0] / width, high[0] / width, low[1] / height, high[1] / height);
     return texels > most ? texels : most;
 }
 
 /* --- contributions -------------------------------------------------------------------------------------------- */
 
-bool svo_facet_visible(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3])
+bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3])
 {
     if (!t->masks) return true;
     const shade_material *m = material_of(s, t->material);
@@ -387,43 +433,36 @@ bool svo_facet_visible(const svo_shader *s, const svo_facet *t, const svo_polygo
         for (int k = 0; k < 3; k++) vertex += b[k] * t->part->colors[4 * (uint64_t)t->vertex[k] + 3];
         alpha *= vertex;
     }
-    if (m->base != NULL) alpha *= most_alpha(t, &m->m.base_color_texture, m->base, polygon, centre);
-    if (m->opacity != NULL) alpha *= most_alpha(t, &m->m.opacity_texture, m->opacity, polygon, centre);
+    if (m->base != NULL) alpha *= most_alpha(t, BASE, &m->m.base_color_texture, m->base, polygon, centre);
+    if (m->opacity != NULL) alpha *= most_alpha(t, OPACITY, &m->m.opacity_texture, m->opacity, polygon, centre);
     return alpha >= m->m.alpha_cutoff;
 }
 
 static uint16_t to16(double v) { return v > 0 ? v < 1 ? (uint16_t)(v * 65535 + 0.5) : 65535 : 0; }
 
-static void normal_at(const svo_shader *s, const svo_facet *t, const double b[3], int32_t out[3])
+static void normal_at(const svo_facet *t, const double b[3], int32_t out[3])
 {
-    svo_vec3 n = {0, 0, 0};
-    if (t->part->normals != NULL) {
-        for (int k = 0; k < 3; k++) {
-            const float *v = t->part->normals + 3 * (uint64_t)t->vertex[k];
-            svo_vec3 unit = svo_normalize(svo_v3(v[0], v[1], v[2]));
-            n = svo_add(n, svo_scale(unit, b[k]));
-        }
-        const svo_mat4 *m = &s->placement->mesh->instances[t->instance].transform;
-        n = svo_normalize(svo_mat4_normal(m, n));
+    double n[3];
+    for (int i = 0; i < 3; i++)
+        n[i] = t->smooth ? b[0] * t->corner_normal[0][i] + b[1] * t->corner_normal[1][i] + b[2] * t->corner_normal[2][i] : t->corner_normal[0][i];
+    double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    if (!(length > 1e-9)) { /* they cancel: the face */
+        double sign = t->mirrored ? -1 : 1;
+        for (int i = 0; i < 3; i++) n[i] = sign * t->normal[i];
+        length = t->length;
     }
-    if (!(svo_dot(n, n) > 0.5)) { /* none, or they cancel */
-        n = svo_normalize(svo_v3(t->normal[0], t->normal[1], t->normal[2]));
-        /* A mirroring transform turns the corners' order round; the front stays the front. */
-        if (s->mirrored[t->instance]) n = svo_scale(n, -1);
-    }
-    out[0] = (int32_t)floor(n.x * 32767 + 0.5);
-    out[1] = (int32_t)floor(n.y * 32767 + 0.5);
-    out[2] = (int32_t)floor(n.z * 32767 + 0.5);
+    double k = length > 0 ? 32767 / length : 0;
+    for (int i = 0; i < 3; i++) out[i] = (int32_t)floor(n[i] * k + 0.5);
 }
 
-uint64_t svo_facet_weight(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift)
+uint64_t svo_facet_weight(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift)
 {
     if (!svo_facet_visible(s, t, polygon, cell)) return 0;
     double centre[3], weight = area_of(t, polygon, cell, centre) * (double)((uint64_t)1 << shift) + 0.5;
     return weight >= 1 ? (uint64_t)weight : 1;
 }
 
-bool svo_facet_contribution(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
+bool svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
                               svo_contribution *out)
 {
     if (!svo_facet_visible(s, t, polygon, cell)) return false;
@@ -445,14 +484,14 @@ bool svo_facet_contribution(const svo_shader *s, const svo_facet *t, const svo_p
         }
         if (m->base != NULL) {
             float texel[4];
-            read_texture(t, &m->m.base_color_texture, m->base, polygon, centre, area, texel);
+            read_texture(t, BASE, &m->m.base_color_texture, m->base, polygon, centre, area, texel);
             if (m->alpha_matters && texel[3] > 0)
                 for (int i = 0; i < 3; i++) texel[i] /= texel[3]; /* stored premultiplied */
             for (int i = 0; i < 4; i++) c[i] *= texel[i];
         }
         if (m->opacity != NULL) {
             float texel[4];
-            read_texture(t, &m->m.opacity_texture, m->opacity, polygon, centre, area, texel);
+            read_texture(t, OPACITY, &m->m.opacity_texture, m->opacity, polygon, centre, area, texel);
             c[3] *= texel[0];
         }
         for (int i = 0; i < 3; i++) out->color[i] = to16(c[i]);
@@ -461,15 +500,15 @@ bool svo_facet_contribution(const svo_shader *s, const svo_facet *t, const svo_p
             out->color_weight = weight >= 1 ? (uint64_t)weight : 1;
         }
     }
-    if (l->normal < SVO_MAX_CHANNELS) normal_at(s, t, b, out->normal);
+    if (l->normal < SVO_MAX_CHANNELS) normal_at(t, b, out->normal);
     if (l->emissive < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->emissive != NULL) read_texture(t, &m->m.emissive_texture, m->emissive, polygon, centre, area, texel);
+        if (m->emissive != NULL) read_texture(t, EMISSIVE, &m->m.emissive_texture, m->emissive, polygon, centre, area, texel);
         for (int i = 0; i < 3; i++) out->emissive[i] = to16((double)m->m.emissive[i] * (double)texel[i]);
     }
     if (l->metallic < SVO_MAX_CHANNELS || l->roughness < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->metallic_roughness != NULL) read_texture(t, &m->m.metallic_roughness_texture, m->metallic_roughness, polygon, centre, area, texel);
+        if (m->metallic_roughness != NULL) read_texture(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, polygon, centre, area, texel);
         out->roughness = to16((double)m->m.roughness * (double)texel[1]);
         out->metallic = to16((double)m->m.metallic * (double)texel[2]);
     }

@@ -27,12 +27,26 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
 void svo_shader_free(svo_shader *s);
 const svo_shade_layout *svo_shader_layout(const svo_shader *s);
 
+/* A texture's coordinates over a facet, in texels of the image: at + x * per_x + y * per_y, where x and y are offsets from
+ * corner 0 along the axes after `axis`. */
+typedef struct svo_facet_texture {
+    double corner[3][2];
+    double per_x[2], per_y[2];
+    double density; /* texels a voxel face */
+    bool ready;
+} svo_facet_texture;
+
 /* A triangle ready to be clipped: corners in voxels relative to a block's corner. */
 typedef struct svo_facet {
     double corner[3][3];
     double normal[3];   /* of the face, grid axes (= world axes), not unit */
     double length;      /* of normal = twice the area in voxels */
     uint32_t axis;      /* dominant axis of normal */
+    double per_x[2], per_y[2]; /* barycentric coordinates 1 and 2 by offset from corner 0 */
+    double corner_normal[3][3]; /* vertex normals in the world, with a common scale; of the face where there are none */
+    bool smooth;                /* corner_normal may differ */
+    bool mirrored;              /* the transform turns triangles inside out */
+    svo_facet_texture texture[4]; /* filled when first read; by use */
     const svo_part *part;
     uint32_t vertex[3];
     uint32_t instance;
@@ -60,12 +74,12 @@ typedef struct svo_contribution {
 
 /* Polygon: the triangle clipped to the voxel at cell[3] (block-relative); may be empty or thin, then the nearest point counts.
  * False when alpha MASK leaves nothing of it. */
-bool svo_facet_contribution(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
+bool svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
                               svo_contribution *out);
 /* The weight alone, 0 when alpha MASK leaves nothing of it. */
-uint64_t svo_facet_weight(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift);
+uint64_t svo_facet_weight(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift);
 /* Only the question of MASK. */
-bool svo_facet_visible(const svo_shader *s, const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3]);
+bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3]);
 
 /* Add to `sums` (layout fields), and turn sums into channel values: values[channel] receives the bytes. */
 void svo_shade_add(const svo_shade_layout *l, const svo_contribution *c, uint64_t *sums);

@@ -18,7 +18,7 @@ static inline void texel(const svo_pyramid *p, uint32_t level, uint32_t x, uint3
         return;
     }
     float alpha = p->kind == SVO_TEXEL_COLOR_ALPHA ? t[3] * (1.0f / 255) : 1;
-    for (int i = 0; i < 3; i++) out[i] = svo_srgb_to_linear(t[i]) * alpha;
+    for (int i = 0; i < 3; i++) out[i] = p->linear[t[i]] * alpha;
     out[3] = alpha;
 }
 
@@ -57,6 +57,7 @@ static void average_level(svo_pyramid *p, uint32_t to)
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err)
 {
     svo_pyramid p = {.image = image, .kind = kind, .allocator = a, .levels = 1};
+    for (int i = 0; i < 256; i++) p.linear[i] = svo_srgb_to_linear((uint8_t)i);
     p.width[0] = image->width;
     p.height[0] = image->height;
     while (p.width[p.levels - 1] > 1 || p.height[p.levels - 1] > 1) {

@@ -26,6 +26,7 @@ typedef struct svo_pyramid {
     uint32_t width[32], height[32];
     uint16_t *texels[32]; /* 4 a texel; [0] is NULL; COLOR_ALPHA: premultiplied */
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
+    float linear[256]; /* of a byte of level 0 */
     const svo_allocator *allocator;
 } svo_pyramid;
 
