@@ -50,6 +50,23 @@ svo_result svo_eye_from_transform(const svo_mat4 *m, double yfov, svo_eye *out, 
     return SVO_OK;
 }
 
+/* Shift of the camera, at distance d, with equal margins left and right of the corners x at depths z. */
+static double centred(const double x[8], const double z[8], double d)
+{
+    double low = x[0], high = x[0];
+    for (int i = 1; i < 8; i++) low = fmin(low, x[i]), high = fmax(high, x[i]);
+    for (int step = 0; step < 60; step++) {
+        double s = 0.5 * (low + high), most = -INFINITY, least = INFINITY;
+        for (int i = 0; i < 8; i++) {
+            double slope = (x[i] - s) / (d - z[i]);
+            most = fmax(most, slope), least = fmin(least, slope);
+        }
+        if (most + least > 0) low = s; /* more on the right: move there */
+        else high = s;
+    }
+    return 0.5 * (low + high);
+}
+
 svo_eye svo_eye_frame(const double low_in[3], const double high_in[3], double aspect, double yfov)
 {
     static const double unit_low[3] = {0, 0, 0}, unit_high[3] = {1, 1, 1};
@@ -59,23 +76,23 @@ svo_eye svo_eye_frame(const double low_in[3], const double high_in[3], double as
     svo_eye e = {.yfov = yfov};
     svo_vec3 centre = {0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]};
     make_axes(svo_v3(-0.62, -0.42, -1), svo_v3(0, 1, 0), &e);
-    double ty = tan(0.5 * yfov) * 0.92, tx = ty * aspect, near = -INFINITY;
-    /* The centre of the picture is chosen so that the box fills it: extremes of the corners' directions. Moving the camera
-     * in its own plane by s and back by d keeps a corner (x, y, z) in sight when |x - s| <= (d - z) tan; both bounds of an
-     * axis are lines in d, which meet where d = (reach of the two sides) / 2. */
+    double ty = tan(0.5 * yfov) * 0.92, tx = ty * aspect, near = -INFINITY, x[8], y[8], z[8];
+    /* A corner is in sight of a camera shifted by s in its plane and d before the centre when |x - s| <= (d - z) tan, which is two
+     * half planes in (s, d) a corner: d >= (x / tan + z) - s / tan and d >= (-x / tan + z) + s / tan. The nearest d is where
+     * the outermost of both kinds meet. */
     double bound[4] = {-INFINITY, -INFINITY, -INFINITY, -INFINITY};
     for (int i = 0; i < 8; i++) {
         svo_vec3 c = svo_sub(svo_v3(i & 1 ? high[0] : low[0], i & 2 ? high[1] : low[1], i & 4 ? high[2] : low[2]), centre);
-        double x = svo_dot(c, e.right), y = svo_dot(c, e.up), z = -svo_dot(c, e.forward);
-        bound[0] = fmax(bound[0], x / tx + z), bound[1] = fmax(bound[1], -x / tx + z);
-        bound[2] = fmax(bound[2], y / ty + z), bound[3] = fmax(bound[3], -y / ty + z);
-        near = fmax(near, z);
+        x[i] = svo_dot(c, e.right), y[i] = svo_dot(c, e.up), z[i] = -svo_dot(c, e.forward);
+        bound[0] = fmax(bound[0], x[i] / tx + z[i]), bound[1] = fmax(bound[1], -x[i] / tx + z[i]);
+        bound[2] = fmax(bound[2], y[i] / ty + z[i]), bound[3] = fmax(bound[3], -y[i] / ty + z[i]);
+        near = fmax(near, z[i]);
     }
     double dx = 0.5 * (bound[0] + bound[1]), dy = 0.5 * (bound[2] + bound[3]), d = fmax(dx, dy);
     double size = fmax(high[0] - low[0], fmax(high[1] - low[1], high[2] - low[2]));
     if (!(size > 0)) size = fmax(1e-3, 1e-6 * svo_length(centre)); /* a point: stand somewhere */
     d = fmax(d, near + 1e-3 * size);
-    double sx = 0.5 * (bound[0] - bound[1]) * tx, sy = 0.5 * (bound[2] - bound[3]) * ty;
+    double sx = centred(x, z, d), sy = centred(y, z, d);
     e.position = svo_add(centre, svo_add(svo_scale(e.forward, -d), svo_add(svo_scale(e.right, sx), svo_scale(e.up, sy))));
     return e;
 }

@@ -42,9 +42,9 @@ static const cli_tool tool = {
     .synopsis = "IN -o OUT.png [--size WxH] [--eye x,y,z --target x,y,z --fov DEG]",
     .options = options,
     .option_count = sizeof options / sizeof options[0],
-    .details = "IN is an .svscene, .svdag or .svo file, or - for stdin. Without --eye and --target the scene's own camera is used, or, where it has\n"
-               "none, a view from the right, above and in front that holds everything.",
-    .example = "svo-render city.svscene -o city.png --size 1920x1080 --samples 2\n  svo-render cow.svdag -o - --eye 1,1,3 --target 0,0,0 --fov 30 > cow.png",
+    .details = "IN is an .svscene, .svdag or .svo file, or - for stdin. Without --eye and --target the scene's own camera "
+               "is used, or, where it has none, a view from the right, above and in front that holds everything.",
+    .example = "svo-render city.svscene -o city.png --size 1920x1080 --samples 2\nsvo-render cow.svdag -o - --eye 1,1,3 --target 0,0,0 --fov 30 > cow.png",
     .min_inputs = 1, .max_inputs = 1, .has_output = true};
 
 /* ---- the input: whatever it is, a scene ---------------------------------------------------------------------------- */

@@ -262,7 +262,7 @@ TEST(spheres)
                     if (fabs(d - 0.45 * n) < 0.9) w.codes[w.count++] = svo_morton_encode(x, y, z);
                 }
         world_finish(&w);
-        check_world(&w, depth, depth == 5 ? 4000 : 1000);
+        check_world(&w, depth, depth == 5 ? 1200 : 400);
     }
 }
 

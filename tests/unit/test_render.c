@@ -612,16 +612,17 @@ TEST(extreme_pictures)
     if (!stage_build(&s, 1, 0, 1)) return;
     svo_render_options o = svo_default_render_options();
     svo_render_stats st;
-    struct { uint32_t w, h; double fov; } cases[] = {{1, 1, 0.7}, {1, 300, 0.7}, {300, 1, 0.7}, {40, 40, 1e-3 * 0.0174533}, {41, 41, 179 * 0.0174533}};
+    svo_error err;
+    struct { uint32_t w, h; double fov; } cases[] = {{1, 1, 0.7}, {1, 301, 0.7}, {301, 1, 0.7}, {40, 40, 1e-3 * 0.0174533}, {41, 41, 179 * 0.0174533}};
     for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
         o.width = cases[i].w, o.height = cases[i].h, o.measure = true;
         frame(&s, &o, cases[i].fov);
+        if (i == 4) CHECK_OK(svo_eye_look(svo_v3(16, 16, 34), svo_v3(16, 16, 0), svo_v3(0, 1, 0), cases[i].fov, &o.eye, &err)); /* almost touching */
         free(picture(&s, &o, &st));
         CHECK_U64(st.primary, (uint64_t)cases[i].w * cases[i].h);
         CHECK_MSG(st.hits > 0 && st.stop_max <= 1 + 1e-9 && st.parent_min > 1 - 1e-9, "case %zu: %llu hits, edges %g and %g", i,
                   (unsigned long long)st.hits, st.stop_max, st.parent_min);
     }
-    svo_error err;
     uint8_t pixel[4];
     o.width = 65537;
     CHECK_RESULT(svo_render(s.bvh, &s.scene, &o, pixel, NULL, &err), SVO_LIMIT);
