@@ -24,6 +24,7 @@ typedef struct dump_job {
 svo_result dump_svo(dump_job *j, svo_error *err);
 svo_result dump_svdag(dump_job *j, svo_error *err);
 svo_result dump_scene(dump_job *j, svo_error *err);
+svo_result dump_skel(dump_job *j, svo_error *err);
 
 /* --- shared by the kinds (dump_common.c) --- */
 

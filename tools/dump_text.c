@@ -113,8 +113,9 @@ void dump_print(const dump_job *j)
     const char *key;
     json_t *v;
     printf("%s\n", json_string_value(json_object_get(j->json, "file")));
+    bool skeleton = json_object_get(j->json, "joint_count") != NULL; /* has keys without meaning, for the sake of one form of JSON */
     json_object_foreach(j->json, key, v) {
-        if (strcmp(key, "file") == 0) continue;
+        if (strcmp(key, "file") == 0 || (skeleton && (json_is_null(v) || (json_is_array(v) && json_array_size(v) == 0)))) continue;
         if (strcmp(key, "sections") == 0) {
             print_sections(v, (double)j->size);
         } else if (strcmp(key, "levels") == 0) {

@@ -10,10 +10,11 @@ static svo_result dump_bytes(dump_job *j, svo_error *err)
     if (kind == FMT_KIND_SVO) return dump_svo(j, err);
     if (kind == FMT_KIND_SVDAG) return dump_svdag(j, err);
     if (kind == FMT_KIND_SCENE) return dump_scene(j, err);
-    fmt_container c; /* says what is wrong with the header */
+    if (kind == FMT_KIND_SKEL) return dump_skel(j, err);
+    fmt_container c; /* says what is wrong with the header; another kind with a good header is refused there */
     SVO_TRY(fmt_container_open(j->data, j->size, j->allocator, &c, err));
     fmt_container_close(&c);
-    return svo_fail(err, SVO_UNSUPPORTED, "files of this kind cannot be read by this version");
+    return svo_fail(err, SVO_UNSUPPORTED, "a file of this kind cannot be read by this version");
 }
 
 static svo_result dump_file(dump_job *j, svo_error *err)
