@@ -82,6 +82,7 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
     json_t *all = json_array();
     svo_result first = SVO_OK;
     bool text = !o->json && (o->voxels == NULL || strcmp(o->voxels, "-") != 0);
+    cli_phase(c, o->validate ? "validate" : "dump");
     for (int i = 0; i < c->input_count; i++) {
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
