@@ -1,12 +1,15 @@
 /* Scenes and skeletons: both must be valid; then their chunks are compared. */
+#include <math.h>
 #include <string.h>
 
 #include "compare.h"
 #include "fmt_scene.h"
+#include "fmt_skel.h"
 
-/* Prove that the file is sound, as any other tool would before using it. */
-static svo_result validate(compare_job *j, const compare_input *in, svo_error *err)
+/* Prove that the file is sound, as any other tool would before using it. A skeleton is kept for measuring. */
+static svo_result validate(compare_job *j, const compare_input *in, skel_skeleton *skeleton, svo_error *err)
 {
+    if (in->kind == FMT_KIND_SKEL) return fmt_skel_read(in->bytes.data, in->bytes.size, j->allocator, skeleton, NULL, err);
     if (in->kind == FMT_KIND_SCENE) {
         fmt_scene scene;
         SVO_TRY(fmt_scene_open(in->bytes.data, in->bytes.size, j->allocator, &scene, err));
@@ -14,6 +17,40 @@ static svo_result validate(compare_job *j, const compare_input *in, svo_error *e
         return SVO_OK;
     }
     return svo_fail(err, SVO_UNSUPPORTED, "files of this kind cannot be compared");
+}
+
+/* Joints are numbered in a fixed order, so equal runs give equal numbers; distances are between joints of one number. */
+static void compare_skeletons(compare_job *j, const skel_skeleton *a, const skel_skeleton *b)
+{
+    json_t *o = json_object();
+    const skel_skeleton *both[2] = {a, b};
+    for (int i = 0; i < 2; i++) {
+        json_t *side = json_object_get(j->json, i == 0 ? "a" : "b");
+        cli_put_u64(side, "joints", both[i]->joint_count);
+        cli_put_u64(side, "bones", both[i]->bone_count);
+        cli_put_u64(side, "mapped", both[i]->map_count);
+    }
+    if (a->joint_count == b->joint_count) {
+        double sum = 0, max = 0;
+        for (uint32_t i = 0; i < a->joint_count; i++) {
+            const double *p = a->joints[i].position, *q = b->joints[i].position;
+            double d = sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) + (p[2] - q[2]) * (p[2] - q[2]));
+            sum += d;
+            if (d > max) max = d;
+        }
+        cli_put_f64(o, "joint_distance_mean", a->joint_count > 0 ? sum / a->joint_count : 0);
+        cli_put_f64(o, "joint_distance_max", max);
+    }
+    bool same_bones = a->bone_count == b->bone_count;
+    for (uint32_t i = 0; same_bones && i < a->bone_count; i++)
+        same_bones = a->bones[i].a == b->bones[i].a && a->bones[i].b == b->bones[i].b;
+    json_object_set_new(o, "same_bones", json_boolean(same_bones));
+    if (a->map_count == b->map_count) {
+        uint64_t moved = 0;
+        for (uint64_t i = 0; i < a->map_count; i++) moved += a->map[i] != b->map[i];
+        cli_put_u64(o, "map_different", moved);
+    }
+    json_object_set_new(j->json, "skeleton", o);
 }
 
 static json_t *chunk_json(const fmt_chunk *chunk, const char *state)
@@ -58,13 +95,15 @@ static void compare_chunks(compare_job *j, const fmt_container *a, const fmt_con
 svo_result compare_containers(compare_job *j, svo_error *err)
 {
     fmt_container c[2];
+    skel_skeleton skeleton[2];
     memset(c, 0, sizeof c);
+    memset(skeleton, 0, sizeof skeleton);
     svo_result r = SVO_OK;
     for (int i = 0; i < 2 && r == SVO_OK; i++) {
         compare_input *in = &j->in[i];
         r = compare_load(in, j->c, j->allocator, err);
         if (r == SVO_OK) r = fmt_container_open(in->bytes.data, in->bytes.size, j->allocator, &c[i], err);
-        if (r == SVO_OK) r = validate(j, in, err);
+        if (r == SVO_OK) r = validate(j, in, &skeleton[i], err);
         if (r != SVO_OK && err != NULL && strstr(err->message, in->path) == NULL) {
             svo_error inner = *err;
             svo_fail(err, r, "%s: %s", in->path, inner.message);
@@ -72,6 +111,10 @@ svo_result compare_containers(compare_job *j, svo_error *err)
         }
     }
     if (r == SVO_OK) compare_chunks(j, &c[0], &c[1]);
-    for (int i = 0; i < 2; i++) fmt_container_close(&c[i]);
+    if (r == SVO_OK && j->in[0].kind == FMT_KIND_SKEL) compare_skeletons(j, &skeleton[0], &skeleton[1]);
+    for (int i = 0; i < 2; i++) {
+        fmt_container_close(&c[i]);
+        skel_skeleton_free(&skeleton[i]);
+    }
     return r;
 }

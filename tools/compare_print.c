@@ -26,6 +26,8 @@ static void print_side(const json_t *o, const char *name)
     if (json_object_get(side, "width") != NULL) printf("  %llu x %llu pixels", count(side, "width"), count(side, "height"));
     if (json_object_get(side, "depth") != NULL)
         printf("  %s, depth %llu, %llu voxels", text(side, "format"), count(side, "depth"), count(side, "voxels"));
+    if (json_object_get(side, "joints") != NULL)
+        printf("  %llu joints, %llu bones, %llu mapped", count(side, "joints"), count(side, "bones"), count(side, "mapped"));
     putchar('\n');
 }
 
@@ -85,6 +87,15 @@ static void print_chunks(const json_t *o)
         printf("chunk %s, id %llu: %s\n", text(chunk, "type"), count(chunk, "id"), text(chunk, "state"));
 }
 
+static void print_skeleton(const json_t *o)
+{
+    const json_t *s = json_object_get(o, "skeleton");
+    if (json_object_get(s, "joint_distance_max") != NULL)
+        printf("joints of the same number are %.6g apart in the mean, %.6g at most\n", number(s, "joint_distance_mean"), number(s, "joint_distance_max"));
+    printf("bones are %s\n", json_is_true(json_object_get(s, "same_bones")) ? "the same" : "different");
+    if (json_object_get(s, "map_different") != NULL) printf("%llu vertices or voxels are mapped to another joint\n", count(s, "map_different"));
+}
+
 void compare_print(const compare_job *j)
 {
     const json_t *o = j->json, *reason;
@@ -94,6 +105,7 @@ void compare_print(const compare_job *j)
     print_image(o);
     if (json_object_get(o, "geometry") != NULL) print_octree(o);
     if (json_object_get(o, "chunks") != NULL) print_chunks(o);
+    if (json_object_get(o, "skeleton") != NULL) print_skeleton(o);
     if (json_is_true(json_object_get(o, "identical"))) printf("identical\n");
     else if (json_array_size(j->reasons) == 0) printf("equal within tolerance\n");
     json_array_foreach(j->reasons, i, reason) printf("differs: %s\n", json_string_value(reason));
