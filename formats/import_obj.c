@@ -67,6 +67,8 @@ static svo_result grow_slots(obj_file *f, svo_error *err)
 static svo_result use_material(obj_file *f, const char *name, size_t n, bool named, svo_error *err)
 {
     SVO_TRY(grow_slots(f, err));
+    const char *nul = memchr(name, '\0', n);
+    if (nul != NULL) n = (size_t)(nul - name);
     uint32_t *slot = (uint32_t *)(void *)f->slots.data;
     uint64_t mask = count_of(&f->slots, sizeof *slot) - 1;
     uint64_t at = hash_name(name, n) & mask;
@@ -89,7 +91,7 @@ static svo_result use_material(obj_file *f, const char *name, size_t n, bool nam
         group.material[n] = '\0';
     }
     if (svo_buffer_append(&f->groups, &group, sizeof group) == NULL) {
-        svo_free(f->context->allocator, group.material, n + 1, 1);
+        svo_string_free(f->context->allocator, group.material);
         return import_no_memory(err);
     }
     f->current = slot[at] = (uint32_t)(count_of(&f->groups, sizeof group) - 1);
@@ -280,8 +282,9 @@ static svo_result read_lines(obj_file *f, const char *p, const char *end, svo_er
         f->joined.size = 0;
         for (;;) {
             bool more = last > p && last[-1] == '\\';
-            if (svo_buffer_append(&f->joined, p, (size_t)(last - p) - (more ? 1 : 0)) == NULL) return import_no_memory(err);
-            if (svo_buffer_append(&f->joined, " ", 1) == NULL) return import_no_memory(err);
+            size_t n = (size_t)(last - p) - (more ? 1 : 0);
+            if ((n != 0 && svo_buffer_append(&f->joined, p, n) == NULL) || svo_buffer_append(&f->joined, " ", 1) == NULL)
+                return import_no_memory(err);
             p = stop < end ? stop + 1 : end;
             if (!more || p == end) break;
             line++;
