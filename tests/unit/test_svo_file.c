@@ -49,6 +49,39 @@ TEST(random_trees_come_back)
         }
 }
 
+/* docs/format/svo.md, Example */
+TEST(the_example_of_the_specification)
+{
+    static const uint8_t masks[] = {0x81, 0x01, 0xc0}, colors[] = {255, 0, 0, 0, 255, 0, 0, 0, 255};
+    static const uint8_t expected[] = {3, 0, 0, 0, 0, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0, 0x81, 1, 0xc0, 255, 0, 0, 0, 255, 0, 0, 0, 255};
+    svo_tree_info info = {.depth = 2, .channel_count = 1, .channels = {{.name = "color", .kind = SVO_KIND_COLOR_SRGB8}}};
+    for (int i = 0; i < 16; i += 5) info.voxel_to_world[i] = 1;
+    svo_chunk chunk = {.depth = 2, .node_count = 3, .voxel_count = 3, .masks = masks, .channels = {colors}};
+    svo_buffer file, payload;
+    svo_buffer_init(&file, NULL);
+    svo_buffer_init(&payload, NULL);
+    fmt_output *out;
+    fmt_svo_writer *w;
+    void *blob;
+    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+    svo_chunk_sink s = fmt_svo_writer_sink(w);
+    CHECK_OK(s.encode(s.user, &chunk, 0, &blob, &err));
+    CHECK_OK(s.commit(s.user, blob, &err));
+    CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    fmt_container c;
+    CHECK_OK(fmt_container_open(file.data, file.size, NULL, &c, &err));
+    CHECK(c.chunk_count == 3 && c.chunks[1].element_count == 3 && c.chunks[1].id == 0);
+    CHECK_OK(fmt_zstd_decode(NULL, file.data + c.chunks[1].offset, c.chunks[1].stored_size, c.chunks[1].decoded_size, &payload, &err));
+    CHECK(payload.size == sizeof expected && memcmp(payload.data, expected, sizeof expected) == 0);
+    const uint8_t *stat = file.data + c.chunks[2].offset;
+    CHECK(fmt_load64(stat) == 1 && fmt_load64(stat + 8) == 1 && fmt_load64(stat + 16) == 2 && fmt_load64(stat + 24) == 3);
+    fmt_container_close(&c);
+    svo_buffer_free(&payload);
+    svo_buffer_free(&file);
+}
+
 TEST(an_empty_tree_comes_back)
 {
     uint64_t seed = 1;
