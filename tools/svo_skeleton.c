@@ -1,0 +1,328 @@
+/* svo-skeleton: the curve skeleton of a mesh or of voxels. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "cli.h"
+#include "fmt_import.h"
+#include "fmt_skel.h"
+#include "fmt_svo.h"
+
+static const char *const methods[] = {"fast", "literal", NULL};
+static const char *const normalizations[] = {"ball", "box", NULL};
+static const char *const searches[] = {"flann", "grid", NULL};
+static const char *const places[] = {"centroid", "contracted", NULL};
+
+enum { MAX_COMPONENTS = 256 }; /* in the report; all are counted */
+
+typedef struct tool_options {
+    double omega, delta;
+    bool has_omega;
+    uint64_t max_iterations, max_vertices;
+    int method, normalize, search, place;
+    const char *glb, *obj;
+    const char *bind, *bound, *solid, *reconstruct, *refine;
+} tool_options;
+
+/* What the command line of the tool is to have, but this version does not do. */
+static const char *unavailable(const tool_options *o)
+{
+    return o->bind != NULL || o->bound != NULL ? "--bind and --bound (a bone channel for voxels)"
+           : o->solid != NULL                  ? "--solid (solid voxels from the contraction)"
+           : o->reconstruct != NULL            ? "--reconstruct (a closed mesh from the skeleton)"
+           : o->refine != NULL                 ? "--refine (other feature sizes for some bones)"
+                                               : NULL;
+}
+
+static bool progress(void *user, double fraction)
+{
+    cli_progress(user, "contracting", fraction);
+    return true;
+}
+
+static skel_options library_options(cli *c, const tool_options *o, const svo_allocator *a)
+{
+    skel_options s = skel_default_options();
+    s.allocator = a;
+    s.omega = o->omega;
+    s.delta = o->delta;
+    s.max_iterations = o->max_iterations;
+    s.max_vertices = o->max_vertices;
+    s.method = (skel_method)o->method;
+    s.normalize = (skel_normalize)o->normalize;
+    s.search = (skel_search)o->search;
+    s.place = (skel_place)o->place;
+    s.threads = (uint32_t)c->threads;
+    s.warnings = &c->warnings;
+    s.progress = progress;
+    s.user = c;
+    return s;
+}
+
+/* --- input -------------------------------------------------------------------------------------------------------- */
+
+static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel_skeleton *out, json_t *inputs, svo_error *err)
+{
+    fmt_svo_reader *reader;
+    SVO_TRY(fmt_svo_reader_open(in, o->allocator, &reader, err));
+    svo_chunk_source source = fmt_svo_reader_source(reader);
+    svo_result r = skel_build_voxels(fmt_svo_reader_info(reader), &source, o, out, err);
+    if (r == SVO_OK) {
+        json_t *input = cli_section(c, "input");
+        cli_put_text(input, "kind", "voxels");
+        cli_put_u64(input, "depth", out->report.voxel_depth);
+        cli_put_u64(input, "level_used", out->report.voxel_level);
+        cli_put_text(input, "method", "outer boundary of the voxels at level_used as quads, welded at grid corners; enclosed space filled");
+        cli_put_u64(input, "voxels", out->map_count);
+        uint8_t hash[16];
+        char hex[33];
+        fmt_svo_reader_content_hash(reader, hash);
+        for (int i = 0; i < 16; i++) {
+            hex[2 * i] = "0123456789abcdef"[hash[i] >> 4];
+            hex[2 * i + 1] = "0123456789abcdef"[hash[i] & 15];
+        }
+        hex[32] = 0;
+        json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hex));
+    }
+    fmt_svo_reader_close(reader);
+    return r;
+}
+
+static svo_result from_mesh(cli *c, const skel_options *o, skel_skeleton *out, json_t *inputs, svo_error *err)
+{
+    fmt_bytes bytes;
+    char hash[33];
+    SVO_TRY(fmt_bytes_open(c->inputs[0], 0, o->allocator, &bytes, err));
+    fmt_hash_hex(bytes.data, bytes.size, hash);
+    fmt_bytes_close(&bytes);
+    json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hash));
+    svo_mesh mesh = {0};
+    fmt_import_options import = {.allocator = o->allocator, .skip_images = true, .warnings = &c->warnings};
+    SVO_TRY(fmt_import_mesh(c->inputs[0], &import, &mesh, err));
+    svo_mesh_counts n = svo_mesh_count(&mesh);
+    json_t *input = cli_section(c, "input");
+    cli_put_text(input, "kind", "mesh");
+    cli_put_u64(input, "triangles", n.placed_triangles);
+    cli_put_u64(input, "instances", mesh.instance_count);
+    cli_phase(c, NULL);
+    svo_result r = skel_build_mesh(&mesh, o, out, err);
+    svo_mesh_free(&mesh);
+    return r;
+}
+
+/* Our own signature is 8 bytes that no mesh begins with. */
+static svo_result is_container(const char *path, bool *yes, svo_error *err)
+{
+    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', '\r', '\n', 0x1a, '\n'};
+    uint8_t start[8];
+    size_t got;
+    fmt_input *in;
+    SVO_TRY(fmt_input_open(path, &in, err));
+    svo_result r = fmt_input_read(in, start, sizeof start, &got, err);
+    fmt_input_close(in);
+    *yes = r == SVO_OK && got == sizeof start && memcmp(start, signature, sizeof start) == 0;
+    return r;
+}
+
+static svo_result build(cli *c, const skel_options *o, skel_skeleton *out, json_t *inputs, svo_error *err)
+{
+    const char *path = c->inputs[0];
+    bool voxels = strcmp(path, "-") == 0; /* stdin is for our own formats */
+    if (!voxels) SVO_TRY(is_container(path, &voxels, err));
+    if (!voxels) return from_mesh(c, o, out, inputs, err);
+    fmt_input *in;
+    SVO_TRY(fmt_input_open(path, &in, err));
+    svo_result r = from_voxels(c, in, o, out, inputs, err);
+    fmt_input_close(in);
+    return r;
+}
+
+/* --- report ------------------------------------------------------------------------------------------------------- */
+
+static void report_components(json_t *output, const skel_skeleton *s)
+{
+    skel_component *part = calloc(s->report.components, sizeof *part);
+    json_t *list = json_array();
+    if (part != NULL) skel_components(s, part);
+    for (uint32_t i = 0; part != NULL && i < s->report.components && i < MAX_COMPONENTS; i++) {
+        json_t *p = json_object();
+        cli_put_u64(p, "joints", part[i].joints);
+        cli_put_u64(p, "bones", part[i].bones);
+        cli_put_u64(p, "ends", part[i].ends);
+        cli_put_u64(p, "branches", part[i].branches);
+        cli_put_u64(p, "loops", part[i].loops);
+        json_array_append_new(list, p);
+    }
+    json_object_set_new(output, "component_list", list);
+    free(part);
+}
+
+static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
+{
+    const skel_report *r = &s->report;
+    json_t *input = cli_section(c, "input"), *output = cli_section(c, "output"), *errors = cli_section(c, "errors");
+    cli_put_u64(input, "elements", r->input_count);
+    cli_put_u64(input, "mapped", r->mapped_count);
+    cli_put_u64(input, "vertices_not_finite", r->not_finite);
+    cli_put_u64(input, "vertices_unreferenced", r->unreferenced);
+    cli_put_u64(input, "vertices_coincident", r->coincident);
+    cli_put_u64(input, "triangles_dropped", r->dropped_triangles);
+    cli_put_u64(input, "vertices", r->mesh_vertices);
+    cli_put_u64(input, "vertices_tessellated", r->tessellated_vertices);
+    cli_put_u64(input, "triangles_tessellated", r->tessellated_triangles);
+    cli_put_f64(input, "unit", r->unit);
+
+    cli_put_u64(output, "bytes", bytes);
+    json_object_set_new(output, "converged", json_boolean(r->converged));
+    cli_put_u64(output, "iterations", r->iterations);
+    cli_put_f64(output, "final_movement_sum", r->final_movement_sum);
+    cli_put_f64(output, "final_movement_max", r->final_movement_max);
+    cli_put_u64(output, "joints", s->joint_count);
+    cli_put_u64(output, "bones", s->bone_count);
+    cli_put_u64(output, "components", r->components);
+    cli_put_u64(output, "ends", r->ends);
+    cli_put_u64(output, "branches", r->branches);
+    cli_put_u64(output, "loops", r->loops);
+    cli_put_u64(output, "isolated_joints", r->isolated);
+    cli_put_u64(output, "leftover_triangles", r->leftover_triangles);
+    report_components(output, s);
+
+    cli_put_f64(errors, "thinness_percent", r->thinness_error);
+    cli_put_text(errors, "distance_unit", "percent of the bounding box's diagonal");
+    cli_put_f64(errors, "surface_distance_mean", r->surface_distance_mean);
+    cli_put_f64(errors, "surface_distance_max", r->surface_distance_max);
+    cli_put_f64(errors, "reconstruction_mean", r->reconstruction_mean);
+    cli_put_f64(errors, "reconstruction_max", r->reconstruction_max);
+
+    json_t *phases = json_object_get(c->json, "phases");
+    for (uint32_t i = 0; i < r->phase_count; i++) {
+        json_t *p = json_object();
+        cli_put_text(p, "name", r->phases[i].name);
+        cli_put_f64(p, "seconds", r->phases[i].seconds);
+        json_array_append_new(phases, p);
+    }
+    cli_info(c, "%u joints, %u bones, %u ends, %u branches, %u loops in %u component%s; %s after %llu sweeps, thinness error %.3g %%", s->joint_count, s->bone_count,
+             r->ends, r->branches, r->loops, r->components, r->components == 1 ? "" : "s", r->converged ? "converged" : "NOT converged",
+             (unsigned long long)r->iterations, r->thinness_error);
+}
+
+/* --- output ------------------------------------------------------------------------------------------------------- */
+
+typedef struct outputs { fmt_output *skel, *glb, *obj; } outputs;
+
+/* All are opened before any work is done, so that a wrong path costs no time. */
+static svo_result open_all(const cli *c, const tool_options *o, outputs *out, svo_error *err)
+{
+    SVO_TRY(fmt_output_open(c->output, c->force, &out->skel, err));
+    if (o->glb != NULL) SVO_TRY(fmt_output_open(o->glb, c->force, &out->glb, err));
+    if (o->obj != NULL) SVO_TRY(fmt_output_open(o->obj, c->force, &out->obj, err));
+    return SVO_OK;
+}
+
+static svo_result commit(fmt_output **out, svo_error *err)
+{
+    fmt_output *o = *out;
+    *out = NULL;
+    return o != NULL ? fmt_output_commit(o, err) : SVO_OK;
+}
+
+static svo_result write_all(outputs *out, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
+{
+    SVO_TRY(fmt_skel_write(out->skel, s, provenance, err));
+    if (out->glb != NULL) SVO_TRY(fmt_export_skel_glb(out->glb, s, err));
+    if (out->obj != NULL) SVO_TRY(fmt_export_skel_obj(out->obj, s, err));
+    *bytes = fmt_output_offset(out->skel);
+    SVO_TRY(commit(&out->glb, err));
+    SVO_TRY(commit(&out->obj, err));
+    return commit(&out->skel, err);
+}
+
+static svo_result run(cli *c, const tool_options *o, svo_error *err)
+{
+    const char *what = unavailable(o);
+    if (what != NULL) return svo_fail(err, SVO_UNSUPPORTED, "%s is not available in this version", what);
+    svo_limit_allocator limit;
+    svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
+    outputs out = {0};
+    json_t *inputs = json_array();
+    skel_skeleton s = {0};
+    skel_options options = library_options(c, o, &limit.base);
+    svo_result r = open_all(c, o, &out, err);
+    if (r == SVO_OK) {
+        cli_phase(c, "import");
+        r = build(c, &options, &s, inputs, err);
+    }
+    if (r == SVO_OK) {
+        json_t *how = json_object();
+        cli_put_f64(how, "omega", o->omega);
+        cli_put_f64(how, "delta", o->delta);
+        cli_put_u64(how, "max_iterations", o->max_iterations);
+        cli_put_text(how, "method", methods[o->method]);
+        cli_put_text(how, "normalize", normalizations[o->normalize]);
+        cli_put_text(how, "place", places[o->place]);
+        char *provenance = cli_provenance(c, how, json_incref(inputs));
+        uint64_t bytes = 0;
+        cli_phase(c, "write");
+        r = provenance == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory") : write_all(&out, &s, provenance, &bytes, err);
+        cli_phase(c, NULL);
+        free(provenance);
+        if (r == SVO_OK) report(c, &s, bytes);
+    }
+    skel_skeleton_free(&s);
+    fmt_output_discard(out.skel);
+    fmt_output_discard(out.glb);
+    fmt_output_discard(out.obj);
+    json_decref(inputs);
+    if (r == SVO_OUT_OF_MEMORY && c->memory != 0) r = svo_fail(err, SVO_LIMIT, "--memory is too small for this model and omega");
+    return r;
+}
+
+int main(int argc, char **argv)
+{
+    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000};
+    cli_option options[] = {
+        {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .seen = &o.has_omega,
+         .no_default = true, .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.025 suits a figure with limbs."},
+        {.name = "delta", .kind = CLI_DOUBLE, .value = &o.delta, .argument = "D", .min = 0, .max = 1e9,
+         .help = "Stop when the movements of all vertices in a sweep sum up to less (0.05 in the thesis); 0: when no vertex moves by omega/1000 for 8 sweeps."},
+        {.name = "max-iterations", .kind = CLI_U64, .value = &o.max_iterations, .argument = "N", .min = 1, .max = 1e9,
+         .help = "Sweeps after which to stop, converged or not; a warning and the report say so."},
+        {.name = "max-vertices", .kind = CLI_U64, .value = &o.max_vertices, .argument = "N", .min = 1, .max = 2e9,
+         .help = "Most vertices that the mesh may have when its edges have been cut to omega (about 700 bytes each)."},
+        {.name = "method", .kind = CLI_CHOICE, .value = &o.method, .choices = methods, .argument = "M",
+         .help = "fast: vertices that have met are welded on the way; literal: the thesis' iteration on every vertex."},
+        {.name = "normalize", .kind = CLI_CHOICE, .value = &o.normalize, .choices = normalizations, .argument = "N",
+         .help = "The model's size: diameter of its enclosing ball / 1.15, which no rotation changes, or longest side of its box."},
+        {.name = "search", .kind = CLI_CHOICE, .value = &o.search, .choices = searches, .argument = "S", .help = "Neighbour search; both give the same result."},
+        {.name = "place", .kind = CLI_CHOICE, .value = &o.place, .choices = places, .argument = "P",
+         .help = "Joints go to the centroid of the surface that belongs to them, or stay where they were contracted to."},
+        {.name = "glb", .kind = CLI_TEXT, .value = &o.glb, .argument = "OUT.glb", .no_default = true, .group = "Output", .help = "Write the curve as glTF lines too."},
+        {.name = "obj", .kind = CLI_TEXT, .value = &o.obj, .argument = "OUT.obj", .no_default = true, .group = "Output", .help = "Write the curve as OBJ lines too."},
+        {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Not available", .help = "Give voxels a bone channel."},
+        {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Output of --bind."},
+        {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Solid voxels from the contraction."},
+        {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Not available", .help = "A closed mesh from the skeleton."},
+        {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "WHAT", .no_default = true, .group = "Not available", .help = "Other feature sizes for some bones."},
+    };
+    cli_tool tool = {
+        .name = "svo-skeleton",
+        .summary = "Contract a mesh or voxels to a curve skeleton with a map from every vertex or voxel to its joint.",
+        .synopsis = "IN -o OUT.skel --omega W [options]",
+        .options = options,
+        .option_count = sizeof options / sizeof *options,
+        .details = "IN is a .gltf .glb .obj .ply .stl .off .drc mesh of any quality (open, unshared, non-manifold, in parts), or a .svo (- is stdin).",
+        .example = "svo-skeleton horse.ply -o horse.skel --omega 0.025 --glb horse_curve.glb\nsvo-skeleton scan.svo -o scan.skel --omega 0.05",
+        .min_inputs = 1,
+        .max_inputs = 1,
+        .has_output = true,
+    };
+    cli c;
+    int code = cli_begin(&c, &tool, argc, argv);
+    if (code >= 0) return code;
+    if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
+    if (!o.has_omega) return cli_usage(&c, "--omega is needed");
+    if (o.glb != NULL && o.obj != NULL && strcmp(o.glb, o.obj) == 0) return cli_usage(&c, "--glb and --obj name the same file");
+    if ((o.glb != NULL && strcmp(o.glb, c.output) == 0) || (o.obj != NULL && strcmp(o.obj, c.output) == 0)) return cli_usage(&c, "two outputs name the same file");
+    svo_error err = {0};
+    svo_result r = run(&c, &o, &err);
+    return cli_end(&c, r, &err);
+}
