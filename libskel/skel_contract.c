@@ -16,6 +16,7 @@ enum {
     STILL_SWEEPS = 8,      /* that must be quiet in a row */
     FIRST_INTERVAL = 5,    /* sweeps between welds */
     LAST_INTERVAL = 40,
+    SETTLED_AFTER = 150,   /* sweeps without a weld after which any vertex may be damped */
     REVERSALS_FREE = 8,    /* a vertex may turn round that often before it is damped */
     SMOOTHING_STEPS = 4,   /* a ball search, fast method */
     PARALLEL_FROM = 4096   /* fewer items are not worth a thread */
@@ -26,7 +27,6 @@ typedef struct contraction {
     skeli_state *s;
     const skel_options *options;
     double omega; /* lattice steps */
-    double damping;
     bool merged_lately; /* damping waits for the welds to have done what they can */
     bool fast;
     /* search */
@@ -173,7 +173,6 @@ static movement move(contraction *c, double *target)
             if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i]++;
             if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 * (s->reversals[i] - REVERSALS_FREE));
             if (f < 0.02) f = 0.02;
-            f *= c->damping;
         }
         for (int k = 0; k < 3; k++) {
             last[k] = f * step[k];
@@ -292,7 +291,7 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
     movement m = {0, 0};
     for (uint64_t it = 1; it <= limit && !report->converged; it++) {
-        c->merged_lately = it - last_removal <= 150;
+        c->merged_lately = it - last_removal <= SETTLED_AFTER;
         SVO_TRY(sweep(c, &m, err));
         report->iterations = it;
         quiet = m.max < STILL * c->omega ? quiet + 1 : 0;
@@ -300,14 +299,10 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
         if (o->progress != NULL && !o->progress(o->user, (double)it / (double)limit))
             return svo_fail(err, SVO_CANCELLED, "cancelled after %llu sweeps", (unsigned long long)it);
         if (!c->fast) continue;
-        if (it - last_removal > 300 && c->damping > 0.1) c->damping *= 0.99;
         if (it - last_weld < interval) continue;
         uint32_t before = c->s->count, removed;
         SVO_TRY(weld_live(c, &removed, err));
-        if (removed > 0) {
-            last_removal = it;
-            c->damping = 1;
-        }
+        if (removed > 0) last_removal = it;
         if (removed * 100ull < before * 3ull) interval = interval * 2 < LAST_INTERVAL ? interval * 2 : LAST_INTERVAL;
         else interval = FIRST_INTERVAL;
         last_weld = it;
@@ -322,7 +317,7 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
 {
     SVO_TRY(begin_state(pool, mesh, s, err));
     uint64_t n = s->count;
-    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .damping = 1, .fast = options->method == SKEL_METHOD_FAST};
+    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .fast = options->method == SKEL_METHOD_FAST};
     c.point = skeli_take(pool, 3 * n, sizeof *c.point);
     c.point_weight = skeli_take(pool, n, sizeof *c.point_weight);
     c.sum = skeli_take(pool, n, sizeof *c.sum);

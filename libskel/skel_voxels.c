@@ -369,6 +369,7 @@ static svo_result map_voxels(skeli_pool *pool, const cells *c, const boundary *b
 
 static svo_result build(skeli_pool *pool, const svo_tree_info *info, cells *c, const skel_options *o, skel_skeleton *out, svo_error *err)
 {
+    double since = svo_seconds();
     SVO_TRY(choose_level(c, o->omega, info->depth, err));
     bits b = {.n = 1u << c->level};
     b.words = (b.n + 63) / 64;
@@ -390,9 +391,11 @@ static svo_result build(skeli_pool *pool, const svo_tree_info *info, cells *c, c
     skeli_give(pool, b.occupied);
     skeli_give(pool, b.outside);
     skel_skeleton s;
+    double boundary_seconds = svo_seconds() - since;
     SVO_TRY(skeli_pipeline(edge.position, edge.points, edge.triangle, edge.triangles, o, &s, err));
     s.report.source = SKEL_SOURCE_VOXELS;
     s.report.voxel_level = c->level;
+    if (s.report.phase_count < SKEL_MAX_PHASES) s.report.phases[s.report.phase_count++] = (skel_phase){"boundary", boundary_seconds};
     s.report.voxel_depth = info->depth;
     svo_result result = map_voxels(pool, c, &edge, info->voxel_to_world, &s, err);
     if (result != SVO_OK) {

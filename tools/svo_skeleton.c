@@ -65,6 +65,7 @@ static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel
     fmt_svo_reader *reader;
     SVO_TRY(fmt_svo_reader_open(in, o->allocator, &reader, err));
     svo_chunk_source source = fmt_svo_reader_source(reader);
+    cli_phase(c, NULL); /* the library measures its own */
     svo_result r = skel_build_voxels(fmt_svo_reader_info(reader), &source, o, out, err);
     if (r == SVO_OK) {
         json_t *input = cli_section(c, "input");

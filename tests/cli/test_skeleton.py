@@ -1,0 +1,186 @@
+"""svo-skeleton: files, reports, exit codes, equal bytes for any number of threads, real and damaged models."""
+
+import json
+import math
+import struct
+
+import support
+from support import check, run, tool
+
+
+def tube_obj(path, length=4.0, radius=0.25, n=60, m=16, extra=""):
+    lines = []
+    for i in range(n + 1):
+        for j in range(m):
+            a = 2 * math.pi * j / m
+            lines.append("v %.17g %.17g %.17g" % (length * i / n, radius * math.cos(a), radius * math.sin(a)))
+    lines += ["v 0 0 0", "v %.17g 0 0" % length]
+    for i in range(n):
+        for j in range(m):
+            a, b = i * m + j + 1, i * m + (j + 1) % m + 1
+            lines.append("f %d %d %d %d" % (a, b, b + m, a + m))
+    for j in range(m):
+        lines.append("f %d %d %d" % ((n + 1) * m + 1, (j + 1) % m + 1, j + 1))
+        lines.append("f %d %d %d" % ((n + 1) * m + 2, n * m + j + 1, n * m + (j + 1) % m + 1))
+    path.write_text("\n".join(lines) + "\n" + extra)
+    return path
+
+
+def curve(path):
+    points, bones = [], []
+    for line in path.read_text().split("\n"):
+        w = line.split()
+        if w[:1] == ["v"]:
+            points.append(tuple(map(float, w[1:])))
+        elif w[:1] == ["l"]:
+            bones.append((int(w[1]) - 1, int(w[2]) - 1))
+    return points, bones
+
+
+def topology(points, bones):
+    """components, ends, branches, loops: from the exported curve alone."""
+    parent = list(range(len(points)))
+
+    def root(i):
+        while parent[i] != i:
+            i = parent[i]
+        return i
+
+    degree = [0] * len(points)
+    for a, b in bones:
+        degree[a] += 1
+        degree[b] += 1
+        parent[root(a)] = root(b)
+    components = sum(root(i) == i for i in range(len(points)))
+    return components, sum(d == 1 for d in degree), sum(d > 2 for d in degree), len(bones) - len(points) + components
+
+
+def test_tube(folder):
+    tube_obj(folder / "tube.obj")
+    r = run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "--omega", 0.03, "--obj", folder / "t.obj", "--glb", folder / "t.glb",
+            "--report", folder / "r.json")
+    check(r.out == b"", r)
+    report = support.report(folder / "r.json")
+    out = report["output"]
+    points, bones = curve(folder / "t.obj")
+    check((out["components"], out["ends"], out["branches"], out["loops"]) == topology(points, bones) == (1, 2, 0, 0), out)
+    check(out["joints"] == len(points) and out["bones"] == len(bones), out)
+    check(out["converged"] is True and out["iterations"] > 0 and out["final_movement_max"] <= 1e-3 * 0.03, out)
+    check(out["bytes"] == (folder / "t.skel").stat().st_size, out)
+    check(0 <= report["errors"]["thinness_percent"] < 1, report["errors"])
+    check(report["input"]["mapped"] == report["input"]["elements"] == 61 * 16 + 2, report["input"])
+    check(all(math.hypot(p[1], p[2]) < 0.02 for p in points), points)
+    check({"clean", "tessellate", "contract"} <= {p["name"] for p in report["phases"]}, report["phases"])
+    glb = (folder / "t.glb").read_bytes()
+    magic, version, size, json_size = struct.unpack("<4sIII", glb[:16])
+    check(magic == b"glTF" and version == 2 and size == len(glb), glb[:16])
+    gltf = json.loads(glb[20:20 + json_size])
+    lines = gltf["meshes"][0]["primitives"][0]
+    check(lines["mode"] == 1 and gltf["accessors"][lines["indices"]]["count"] == 2 * len(bones), gltf)
+
+
+def test_threads_and_search_give_the_same_bytes(folder):
+    tube_obj(folder / "tube.obj", n=120, m=48)
+    files = []
+    for threads in (1, 2, 7):
+        for search in ("flann", "grid"):
+            path = folder / ("%d%s.skel" % (threads, search))
+            run("svo-skeleton", folder / "tube.obj", "-o", path, "--omega", 0.04, "--threads", threads, "--search", search)
+            files.append(path.read_bytes())
+    check(all(f == files[0] for f in files), "files differ")
+
+
+def test_not_converged(folder):
+    tube_obj(folder / "tube.obj")
+    r = run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "--omega", 0.03, "--max-iterations", 3, "--report", folder / "r.json")
+    report = support.report(folder / "r.json")
+    check(report["output"]["converged"] is False and report["output"]["iterations"] == 3, report)
+    check(any("did not converge" in str(w) for w in report["warnings"]) and "did not converge" in r.err, r)
+
+
+def test_voxels(folder):
+    tube_obj(folder / "tube.obj")
+    run("svo-voxelize", folder / "tube.obj", "-o", folder / "t.svo", "--depth", 7, "--attributes", "none")
+    run("svo-skeleton", folder / "t.svo", "-o", folder / "t.skel", "--omega", 0.04, "--obj", folder / "t.obj", "--report", folder / "r.json")
+    report = support.report(folder / "r.json")
+    points, bones = curve(folder / "t.obj")
+    check(topology(points, bones) == (1, 2, 0, 0), report["output"])
+    check(all(math.hypot(p[1], p[2]) < 0.1 for p in points), points)
+    check(min(p[0] for p in points) < 0.8 and max(p[0] for p in points) > 3.2, points)
+    check(report["input"]["kind"] == "voxels" and report["input"]["mapped"] == report["input"]["voxels"] > 0, report["input"])
+    data = (folder / "t.svo").read_bytes()
+    run("svo-skeleton", "-", "-o", folder / "u.skel", "--omega", 0.04, stdin=data)
+    check((folder / "t.skel").read_bytes().split(b"META")[0] == (folder / "u.skel").read_bytes().split(b"META")[0], "stdin differs")
+
+
+def test_exit_codes(folder):
+    tube_obj(folder / "tube.obj")
+    out = folder / "x.skel"
+
+    def expect(code, *args, **more):
+        r = tool("svo-skeleton", *args, **more)
+        check(r.code == code and (code == 0 or r.err.strip()), r)
+        check(code == 0 or not out.exists(), r)
+        return r
+
+    expect(1, folder / "tube.obj", "-o", out)
+    expect(1, folder / "tube.obj", "--omega", 0.03)
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0)
+    expect(1, folder / "tube.obj", "-o", out, "--omega", "nan")
+    expect(1, folder / "tube.obj", folder / "tube.obj", "-o", out, "--omega", 0.03)
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--glb", out)
+    expect(2, folder / "missing.obj", "-o", out, "--omega", 0.03)
+    expect(2, folder / "tube.obj", "-o", folder / "no" / "x.skel", "--omega", 0.03)
+    (folder / "empty.obj").write_text("v 0 0 0\n")
+    expect(3, folder / "empty.obj", "-o", out, "--omega", 0.03)
+    (folder / "bad.svo").write_bytes(b"\x89SVX\r\n\x1a\n" + bytes(300))
+    expect(3, folder / "bad.svo", "-o", out, "--omega", 0.03)
+    for option in ("--bind", "--solid", "--reconstruct", "--refine"):
+        r = expect(5, folder / "tube.obj", "-o", out, "--omega", 0.03, option, folder / "y")
+        check(option in r.err, r)
+    r = expect(6, folder / "tube.obj", "-o", out, "--omega", 0.0002, "--max-vertices", 10000)
+    check("larger omega" in r.err, r)
+    expect(6, folder / "tube.obj", "-o", out, "--omega", 0.01, "--memory", "100K")
+    expect(0, folder / "tube.obj", "-o", out, "--omega", 0.03)
+    before = out.read_bytes()
+    r = tool("svo-skeleton", folder / "tube.obj", "-o", out, "--omega", 0.05)
+    check(r.code == 2 and out.read_bytes() == before, r)
+    run("svo-skeleton", folder / "tube.obj", "-o", out, "--omega", 0.05, "-f")
+    check(out.read_bytes() != before, "not replaced")
+
+
+def real(folder, model, omega, expected):
+    path = support.model(model)
+    run("svo-skeleton", path, "-o", folder / "m.skel", "--omega", omega, "--obj", folder / "m.obj", "--report", folder / "r.json")
+    report = support.report(folder / "r.json")
+    out = report["output"]
+    check(out["converged"], out)
+    found = topology(*curve(folder / "m.obj"))
+    check(found == (out["components"], out["ends"], out["branches"], out["loops"]), out)
+    components, least_ends, most_ends, loops = expected
+    check(found[0] == components and least_ends <= found[1] <= most_ends and (loops is None or found[3] == loops), found)
+
+
+def test_hand_has_five_fingers_and_a_wrist(folder):
+    real(folder, "A_organic/hand_closed/hand_closed.obj", 0.025, (1, 6, 7, 0))
+
+
+def test_fertility_has_four_loops(folder):
+    real(folder, "A_organic/fertility/fertility.off", 0.025, (1, 0, 4, 4))
+
+
+def test_human_has_five_ends(folder):
+    real(folder, "A_organic/human_neutral/human_neutral.obj", 0.025, (1, 5, 5, 0))
+
+
+def test_damaged_models_end(folder):
+    for model in ("B_damaged/beetle_car/beetle-alt.obj", "B_damaged/boeing/boeing.off", "B_damaged/non_manif_hole/non_manif_hole.ply",
+                  "B_damaged/teapot/teapot.obj", "B_damaged/busted/busted.STL", "B_damaged/wheelchair/wheelchair.obj", "B_damaged/many_small_holes/many_small_holes.ply"):
+        path = support.model(model)
+        r = tool("svo-skeleton", path, "-o", folder / "m.skel", "--omega", 0.03, "-f", "--report", folder / "r.json", timeout=240)
+        check(r.code == 0, r)
+        out = support.report(folder / "r.json")["output"]
+        check(out["joints"] > 0 and out["components"] > 0, out)
+
+
+support.main(globals())
