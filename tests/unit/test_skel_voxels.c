@@ -1,0 +1,212 @@
+/* Skeletons of voxels: the axis of a tube, hollow equals solid, finer octrees of the same cells give the same, the map. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmt_svo.h"
+#include "skel_build.h"
+#include "svo_morton.h"
+#include "test.h"
+#include "trees.h"
+
+static svo_error err;
+
+static int by_code(const void *a, const void *b)
+{
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return x < y ? -1 : x > y;
+}
+
+/* Voxels of 2^depth for which inside() holds; hollow: only those with an outside neighbour. */
+typedef bool (*inside_fn)(int x, int y, int z, int n);
+static tree make(uint32_t depth, inside_fn inside, bool hollow)
+{
+    tree t = {.info = {.depth = depth}};
+    for (int i = 0; i < 4; i++) t.info.voxel_to_world[5 * i] = i < 3 ? 1.0 / (1 << depth) : 1;
+    int n = 1 << depth;
+    for (int z = 0; z < n; z++)
+        for (int y = 0; y < n; y++)
+            for (int x = 0; x < n; x++) {
+                if (!inside(x, y, z, n)) continue;
+                bool deep = inside(x - 1, y, z, n) && inside(x + 1, y, z, n) && inside(x, y - 1, z, n) && inside(x, y + 1, z, n) && inside(x, y, z - 1, n) && inside(x, y, z + 1, n);
+                if (hollow && deep) continue;
+                if (t.count == t.capacity) t.codes = realloc(t.codes, (t.capacity = t.capacity * 2 + 64) * sizeof *t.codes);
+                t.codes[t.count++] = svo_morton_encode((uint32_t)x, (uint32_t)y, (uint32_t)z);
+            }
+    qsort(t.codes, t.count, sizeof *t.codes, by_code);
+    return t;
+}
+
+/* Every voxel becomes 8 of the next level: the same solid. */
+static tree finer(const tree *t)
+{
+    tree f = {.info = t->info, .count = 8 * t->count};
+    f.info.depth++;
+    for (int i = 0; i < 3; i++) f.info.voxel_to_world[5 * i] /= 2;
+    f.codes = malloc(f.count * sizeof *f.codes);
+    for (uint64_t i = 0; i < f.count; i++) f.codes[i] = t->codes[i / 8] * 8 + i % 8;
+    return f;
+}
+
+static svo_result build(const tree *t, const skel_options *o, skel_skeleton *s)
+{
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    tree_write(t, 1, &file, NULL);
+    fmt_input *in;
+    fmt_svo_reader *r;
+    svo_result result = fmt_input_open_memory(file.data, file.size, &in, &err);
+    if (result == SVO_OK) result = fmt_svo_reader_open(in, o->allocator, &r, &err);
+    if (result == SVO_OK) {
+        svo_chunk_source source = fmt_svo_reader_source(r);
+        result = skel_build_voxels(fmt_svo_reader_info(r), &source, o, s, &err);
+        fmt_svo_reader_close(r);
+        fmt_input_close(in);
+    }
+    svo_buffer_free(&file);
+    return result;
+}
+
+static skel_options options(double omega)
+{
+    skel_options o = skel_default_options();
+    o.omega = omega;
+    o.threads = 1;
+    o.search = SKEL_SEARCH_GRID;
+    return o;
+}
+
+static bool tube(int x, int y, int z, int n)
+{
+    double dy = (y + 0.5) / n - 0.5, dz = (z + 0.5) / n - 0.4, at = (x + 0.5) / n;
+    return x >= 0 && y >= 0 && z >= 0 && at > 0.05 && at < 0.95 && dy * dy + dz * dz < 0.08 * 0.08;
+}
+
+static bool ring(int x, int y, int z, int n)
+{
+    double dx = (x + 0.5) / n - 0.5, dy = (y + 0.5) / n - 0.5, dz = (z + 0.5) / n - 0.5, r = sqrt(dx * dx + dy * dy) - 0.35;
+    return x >= 0 && y >= 0 && z >= 0 && r * r + dz * dz < 0.07 * 0.07;
+}
+
+static bool all(int x, int y, int z, int n) { return x >= 0 && y >= 0 && z >= 0 && x < n && y < n && z < n; }
+
+static bool same_curve(const skel_skeleton *a, const skel_skeleton *b)
+{
+    return a->joint_count == b->joint_count && a->bone_count == b->bone_count && memcmp(a->joints, b->joints, a->joint_count * sizeof *a->joints) == 0 &&
+           memcmp(a->bones, b->bones, a->bone_count * sizeof *a->bones) == 0;
+}
+
+TEST(tube_axis_and_map)
+{
+    tree t = make(6, tube, false);
+    skel_options o = options(0.05);
+    skel_skeleton s;
+    CHECK_OK(build(&t, &o, &s));
+    CHECK_OK(skel_check(&s, &err));
+    CHECK(s.report.converged && s.report.source == SKEL_SOURCE_VOXELS);
+    CHECK_U64(s.report.components, 1);
+    CHECK_U64(s.report.ends, 2);
+    CHECK_U64(s.report.loops, 0);
+    CHECK_U64(s.map_count, t.count);
+    CHECK_U64(s.report.mapped_count, t.count);
+    for (uint32_t j = 0; j < s.joint_count; j++) {
+        const double *p = s.joints[j].position;
+        CHECK_MSG(hypot(p[1] - 0.5, p[2] - 0.4) < 0.02, "joint %u at %g %g %g", j, p[0], p[1], p[2]);
+    }
+    for (uint64_t i = 0; i < t.count; i++) { /* inner voxels too: a joint beside each */
+        uint32_t x, y, z;
+        svo_morton_decode(t.codes[i], &x, &y, &z);
+        CHECK(fabs(s.joints[s.map[i]].position[0] - (x + 0.5) / 64) < 0.2);
+    }
+    skel_skeleton_free(&s);
+    tree_free(&t);
+}
+
+TEST(hollow_equals_solid)
+{
+    const inside_fn shape[] = {tube, ring, all};
+    for (int i = 0; i < 3; i++) {
+        tree a = make(5, shape[i], false), b = make(5, shape[i], true);
+        CHECK(b.count < a.count);
+        skel_options o = options(0.08);
+        skel_skeleton s, t;
+        CHECK_OK(build(&a, &o, &s));
+        CHECK_OK(build(&b, &o, &t));
+        CHECK_MSG(same_curve(&s, &t), "shape %d", i);
+        if (shape[i] == ring) CHECK_U64(s.report.loops, 1);
+        skel_skeleton_free(&s);
+        skel_skeleton_free(&t);
+        tree_free(&a);
+        tree_free(&b);
+    }
+}
+
+TEST(finer_voxels_of_the_same_cells)
+{
+    tree a = make(5, tube, false), b = finer(&a), c = finer(&b);
+    skel_options o = options(0.08);
+    skel_skeleton s, t, u;
+    CHECK_OK(build(&a, &o, &s));
+    CHECK_OK(build(&b, &o, &t));
+    CHECK_OK(build(&c, &o, &u));
+    CHECK_U64(t.report.voxel_level, s.report.voxel_level);
+    CHECK_U64(u.report.voxel_depth, 7);
+    CHECK(same_curve(&s, &t) && same_curve(&s, &u));
+    CHECK_U64(u.map_count, 64 * s.map_count);
+    for (uint64_t i = 0; i < u.map_count; i++) CHECK(u.map[i] == s.map[i / 64] && t.map[i / 8] == s.map[i / 64]);
+    skel_skeleton_free(&s);
+    skel_skeleton_free(&t);
+    skel_skeleton_free(&u);
+    tree_free(&a);
+    tree_free(&b);
+    tree_free(&c);
+}
+
+TEST(extremes)
+{
+    skel_options o = options(0.3);
+    skel_skeleton s = {0};
+    for (uint32_t depth = 0; depth <= 21; depth += 7) { /* one voxel: a joint in its middle */
+        tree t = {.info = {.depth = depth}, .count = 1, .codes = calloc(1, 8)};
+        for (int i = 0; i < 4; i++) t.info.voxel_to_world[5 * i] = 1;
+        t.codes[0] = ((uint64_t)1 << 3 * depth) - 1;
+        svo_result r = build(&t, &o, &s);
+        CHECK_MSG(r == SVO_OK, "depth %u: %s", depth, err.message);
+        CHECK_OK(skel_check(&s, &err));
+        CHECK_U64(s.map_count, 1);
+        skel_skeleton_free(&s);
+        tree_free(&t);
+    }
+    tree empty = {.info = {.depth = 3}};
+    for (int i = 0; i < 4; i++) empty.info.voxel_to_world[5 * i] = 1;
+    CHECK_RESULT(build(&empty, &o, &s), SVO_INVALID_DATA);
+    tree t = make(5, tube, false);
+    o.max_vertices = 100;
+    CHECK_RESULT(build(&t, &o, &s), SVO_LIMIT);
+    o = options(9);
+    CHECK_RESULT(build(&t, &o, &s), SVO_INVALID_ARGUMENT);
+    tree_free(&t);
+}
+
+TEST(out_of_memory)
+{
+    tree t = make(4, tube, false);
+    for (uint64_t at = 1;; at++) {
+        svo_limit_allocator a;
+        svo_limit_allocator_init(&a, UINT64_MAX, NULL);
+        a.fail_at = at;
+        skel_options o = options(0.2);
+        o.allocator = &a.base;
+        o.max_iterations = 12;
+        skel_skeleton s = {0};
+        svo_result r = build(&t, &o, &s);
+        if (r == SVO_OK) {
+            skel_skeleton_free(&s);
+            CHECK_U64(svo_limit_in_use(&a), 0);
+            CHECK(at > 20);
+            break;
+        }
+        CHECK_U64(r, SVO_OUT_OF_MEMORY);
+    }
+    tree_free(&t);
+}
