@@ -1,5 +1,7 @@
 /* Outputs: written out of sight and given their name at the end. */
+#ifndef _GNU_SOURCE
 #define _GNU_SOURCE
+#endif
 #include "fmt_file.h"
 
 #include <errno.h>

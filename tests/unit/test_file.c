@@ -1,5 +1,7 @@
 /* Outputs and inputs: nothing appears before it is complete, nothing is lost, nothing is left behind. */
+#ifndef _GNU_SOURCE
 #define _GNU_SOURCE
+#endif
 #include <dirent.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -54,7 +56,7 @@ static bool holds(const char *path, const char *text)
 TEST(nothing_appears_before_commit)
 {
     fresh();
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_OK(fmt_output_open(target, false, &o, &err));
     CHECK_OK(fmt_output_write(o, "new", 3, &err));
     CHECK(access(target, F_OK) != 0);
@@ -68,7 +70,7 @@ TEST(a_discarded_output_leaves_nothing)
 {
     fresh();
     static uint8_t big[1 << 20];
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_OK(fmt_output_open(target, false, &o, &err));
     CHECK_OK(fmt_output_write(o, big, sizeof big, &err));
     fmt_output_discard(o);
@@ -80,7 +82,7 @@ TEST(an_existing_file_needs_force)
 {
     fresh();
     put(target, "old");
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_RESULT(fmt_output_open(target, false, &o, &err), SVO_IO);
     CHECK(strstr(err.message, "--force") != NULL);
     CHECK_OK(fmt_output_open(target, true, &o, &err));
@@ -101,7 +103,7 @@ TEST(an_existing_file_needs_force)
 TEST(a_file_that_appears_meanwhile_is_not_replaced)
 {
     fresh();
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_OK(fmt_output_open(target, false, &o, &err));
     CHECK_OK(fmt_output_write(o, "mine", 4, &err));
     put(target, "theirs");
@@ -118,7 +120,7 @@ TEST(a_symbolic_link_stays_one)
     put(target, "old");
     snprintf(link, sizeof link, "%s/link", folder);
     CHECK(symlink("target.bin", link) == 0);
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_RESULT(fmt_output_open(link, false, &o, &err), SVO_IO);
     CHECK_OK(fmt_output_open(link, true, &o, &err));
     CHECK_OK(fmt_output_write(o, "new", 3, &err));
@@ -132,7 +134,7 @@ TEST(a_symbolic_link_stays_one)
 TEST(bad_places_are_refused)
 {
     fresh();
-    fmt_output *o;
+    fmt_output *o = NULL;
     char path[300];
     snprintf(path, sizeof path, "%s/none/x", folder);
     CHECK_RESULT(fmt_output_open(path, false, &o, &err), SVO_IO);
@@ -146,7 +148,7 @@ TEST(bad_places_are_refused)
 TEST(a_full_device_is_an_error)
 {
     static uint8_t big[1 << 19];
-    fmt_output *o;
+    fmt_output *o = NULL;
     if (access("/dev/full", W_OK) != 0) {
         test_skip("no /dev/full");
         return;
@@ -178,7 +180,7 @@ static void write_beyond_the_limit(void)
     static uint8_t big[1 << 20];
     struct rlimit limit = {100000, 100000};
     signal(SIGXFSZ, SIG_IGN);
-    fmt_output *o;
+    fmt_output *o = NULL;
     if (setrlimit(RLIMIT_FSIZE, &limit) != 0) _exit(77);
     if (fmt_output_open(target, true, &o, &err) != SVO_OK) _exit(1);
     if (fmt_output_write(o, big, sizeof big, &err) != SVO_IO) _exit(2);
@@ -197,7 +199,7 @@ TEST(a_full_disk_leaves_the_old_file)
 static void die_while_writing(void)
 {
     static uint8_t big[1 << 20];
-    fmt_output *o;
+    fmt_output *o = NULL;
     if (fmt_output_open(target, true, &o, &err) != SVO_OK) _exit(1);
     if (fmt_output_write(o, big, sizeof big, &err) != SVO_OK) _exit(2);
     kill(getpid(), SIGKILL);
@@ -227,7 +229,7 @@ TEST(a_reader_that_goes_away_is_an_error)
     int ends[2];
     char path[64];
     static uint8_t big[1 << 20];
-    fmt_output *o;
+    fmt_output *o = NULL;
     signal(SIGPIPE, SIG_IGN);
     CHECK(pipe(ends) == 0);
     snprintf(path, sizeof path, "/dev/fd/%d", ends[1]);
@@ -243,7 +245,7 @@ TEST(alignment_pads_with_zeros)
 {
     svo_buffer b;
     svo_buffer_init(&b, NULL);
-    fmt_output *o;
+    fmt_output *o = NULL;
     CHECK_OK(fmt_output_open_memory(&b, &o, &err));
     CHECK_OK(fmt_output_write(o, "abc", 3, &err));
     CHECK_OK(fmt_output_align(o, 64, &err));
