@@ -70,6 +70,8 @@ static void print_sections(const json_t *list, double total)
     }
 }
 
+enum { LINES = 24 }; /* of a list; the rest is counted */
+
 /* A list of objects, one a line. */
 static void print_list(const char *key, const json_t *list)
 {
@@ -79,6 +81,10 @@ static void print_list(const char *key, const json_t *list)
     if (json_array_size(list) == 0) fputs("none\n", stdout);
     json_array_foreach(list, i, e) {
         if (i != 0) printf("%21s", "");
+        if (i == LINES) {
+            printf("... and %zu more (--json lists them)\n", json_array_size(list) - LINES);
+            break;
+        }
         print_value(e);
         putchar('\n');
     }
