@@ -157,6 +157,21 @@ def test_scenes(folder):
     check(r["different_chunks"] >= 1 and not r["identical"], r)
 
 
+def test_skeletons(folder):
+    mesh = support.sphere_obj(folder / "s.obj", 10)
+    for name, omega in (("a", 0.2), ("b", 0.2), ("c", 0.05)):
+        run("svo-skeleton", mesh, "-o", folder / (name + ".skel"), "--omega", omega)
+    r = compare(folder / "a.skel", folder / "b.skel")
+    check(r["identical"] and r["skeleton"]["joint_distance_max"] == 0 and r["skeleton"]["same_bones"], r)
+    r = compare(folder / "a.skel", folder / "c.skel", code=7)
+    check(r["kind"] == "skeleton" and r["different_chunks"] >= 1 and not r["identical"], r)
+    damaged = folder / "d.skel"
+    data = bytearray((folder / "a.skel").read_bytes())
+    data[len(data) // 2] ^= 1
+    damaged.write_bytes(data)
+    check(tool("svo-compare", folder / "a.skel", damaged).code == 3, "damaged skeleton")
+
+
 def test_real_models(folder):
     path = support.model("C_textured/spot_cow/spot_triangulated.obj")
     a = octree(folder, "a.svo", path, "--depth", 7)

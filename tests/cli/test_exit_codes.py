@@ -11,9 +11,9 @@ import subprocess
 import support
 from support import check, run, tool, tools
 
-TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare"]
-READS_OURS = ["svo-compress", "svo-render", "svo-dump", "svo-compare"]
-WRITES = {"svo-voxelize": "o.svo", "svo-compress": "o.svdag", "svo-pack": "o.svscene", "svo-render": "o.png"}
+TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare", "svo-skeleton"]
+READS_OURS = ["svo-compress", "svo-render", "svo-dump", "svo-compare", "svo-skeleton"]
+WRITES = {"svo-voxelize": "o.svo", "svo-compress": "o.svdag", "svo-pack": "o.svscene", "svo-render": "o.png", "svo-skeleton": "o.skel"}
 
 SCENE = {"assets": [{"name": "a", "file": "cube.svdag"}], "instances": [{"asset": "a"}, {"asset": "a", "translation": [3, 0, 0]}]}
 
