@@ -171,6 +171,11 @@ TEST(extremes)
         for (int i = 0; i < 4; i++) t.info.voxel_to_world[5 * i] = 1;
         t.codes[0] = ((uint64_t)1 << 3 * depth) - 1;
         svo_result r = build(&t, &o, &s);
+        if (depth > 10) { /* a speck in a grid too fine to be searched for its outside */
+            CHECK_U64(r, SVO_LIMIT);
+            tree_free(&t);
+            continue;
+        }
         CHECK_MSG(r == SVO_OK, "depth %u: %s", depth, err.message);
         CHECK_OK(skel_check(&s, &err));
         CHECK_U64(s.map_count, 1);
