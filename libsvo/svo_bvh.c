@@ -343,9 +343,15 @@ static svo_result build(svo_bvh *b, uint32_t threads, svo_bvh_report *report, sv
     bounds = svo_alloc(a, s->asset_count, sizeof *bounds);
     if (bounds == NULL) goto no_memory;
     for (uint32_t i = 0; i < s->asset_count; i++) {
-        uint32_t low[3] = {0, 0, 0}, high[3] = {0, 0, 0};
-        svo_view_bounds(s->assets[i], low, high);
-        for (int k = 0; k < 3; k++) bounds[i][k] = 0.5 * ((double)low[k] + high[k]), bounds[i][3 + k] = 0.5 * ((double)high[k] - low[k]);
+        /* (cells, both inclusive; linear in the stored nodes, which a search of the voxels' nodes is not) */
+        uint32_t low[3], high[3];
+        bool any;
+        result = svo_view_grid_bounds(s->assets[i], a, &any, low, high, err);
+        if (result != SVO_OK) goto done;
+        for (int k = 0; k < 3; k++) {
+            double end = any ? (double)high[k] + 1 : 0;
+            bounds[i][k] = 0.5 * ((double)low[k] + end), bounds[i][3 + k] = 0.5 * (end - (double)low[k]);
+        }
     }
     double low[3], high[3];
     if (svo_scene_bounds(s, low, high))
