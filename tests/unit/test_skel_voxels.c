@@ -186,6 +186,7 @@ TEST(extremes)
     for (int i = 0; i < 4; i++) empty.info.voxel_to_world[5 * i] = 1;
     CHECK_RESULT(build(&empty, &o, &s), SVO_INVALID_DATA);
     tree t = make(5, tube, false);
+    o = options(0.05);
     o.max_vertices = 100;
     CHECK_RESULT(build(&t, &o, &s), SVO_LIMIT);
     o = options(9);
