@@ -1,5 +1,6 @@
 /* svo-voxelize: meshes to a sparse voxel octree with attributes. */
 #include <stdlib.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "cli.h"
@@ -210,8 +211,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     cli_phase(c, NULL);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) {
         char why[200];
-        strncpy(why, err != NULL ? err->message : "", sizeof why - 1);
-        why[sizeof why - 1] = 0;
+        snprintf(why, sizeof why, "%.199s", err != NULL ? err->message : "");
         r = svo_fail(err, SVO_LIMIT, "--memory is too small: %s", why);
     }
     return r;
