@@ -72,7 +72,7 @@ extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *w
         if (count > INT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu points are too many for the radius search", static_cast<unsigned long long>(count));
         std::vector<float> floats(3 * count);
         for (uint64_t i = 0; i < 3 * count; i++) floats[i] = static_cast<float>(points[i]) * (1.0f / SKEL_LATTICE);
-        tree index(flann::Matrix<float>(floats.data(), count, 3), flann::KDTreeSingleIndexParams(10, true));
+        tree index(flann::Matrix<float>(floats.data(), count, 3), flann::KDTreeSingleIndexParams(30, true));
         index.buildIndex();
         const float r = static_cast<float>(radius);
         query q{&index, floats.data(), points, weights, r * r, out};
