@@ -178,6 +178,40 @@ TEST(drc)
     fmt_bytes_close(&bytes);
 }
 
+/* --- the n-th allocation fails --- */
+
+static void fail_each(import_reader *reader, const char *what, const char *text)
+{
+    for (uint64_t n = 1; n < 10000; n++) {
+        svo_limit_allocator limit;
+        svo_limit_allocator_init(&limit, 64 << 20, NULL);
+        limit.fail_at = n;
+        import_context c = context(&limit.base);
+        svo_mesh mesh = {.allocator = &limit.base};
+        svo_error err = {0};
+        svo_result r = reader(&c, (const uint8_t *)text, strlen(text), &mesh, &err);
+        const char *fault = r == SVO_OK ? import_mesh_fault(&mesh) : NULL;
+        svo_mesh_free(&mesh);
+        CHECK_MSG(svo_limit_in_use(&limit) == 0, "%s: leaks when allocation %llu fails", what, (unsigned long long)n);
+        CHECK_MSG(r == SVO_OK || r == SVO_OUT_OF_MEMORY, "%s, allocation %llu: %s (%s)", what, (unsigned long long)n, svo_result_name(r), err.message);
+        CHECK_MSG(fault == NULL, "%s, allocation %llu: %s", what, (unsigned long long)n, fault);
+        if (r == SVO_OK && limit.count < n) return; /* it was never reached: all have failed once */
+    }
+    test_fail(__FILE__, __LINE__, "%s: does not end", what);
+}
+
+TEST(allocations_fail)
+{
+    static const uint8_t pixel[4] = {1, 2, 3, 128};
+    CHECK(import_put_text("a.mtl", "newmtl one\nKd 1 0 0\nmap_Kd p.png\nnewmtl two\nmap_d p.png\n") != NULL);
+    CHECK(import_put_png("p.png", pixel, 1, 1) && import_put_png("none.png", pixel, 1, 1));
+    fail_each(import_obj, "obj", obj_text);
+    fail_each(import_ply, "ply", ply_text);
+    fail_each(import_stl, "stl", stl_text);
+    fail_each(import_off, "off", off_text);
+    fail_each(import_gltf, "gltf", gltf_text);
+}
+
 /* --- claims and depth --- */
 
 TEST(counts_are_claims)
