@@ -252,3 +252,54 @@ TEST(concave_polygons)
         svo_mesh_free(&m);
     }
 }
+
+/* --- glTF: instances and skins --- */
+
+TEST(gltf_gpu_instances_with_quantised_rotation)
+{
+    /* one triangle; two instances: moved by (10, 0, 0) and by (0, 5, 0) with a half turn about Z (snorm16) */
+    float data[15] = {0, 0, 0, 1, 0, 0, 0, 1, 0, 10, 0, 0, 0, 5, 0};
+    int16_t turns[8] = {0, 0, 0, 32767, 0, 0, 32767, 0};
+    uint8_t bytes[76];
+    memcpy(bytes, data, 60);
+    memcpy(bytes + 60, turns, 16);
+    CHECK(import_put("i.bin", bytes, sizeof bytes) != NULL);
+    svo_mesh m;
+    if (!load(import_put_text("i.gltf",
+            "{\"asset\":{\"version\":\"2.0\"},\"extensionsUsed\":[\"EXT_mesh_gpu_instancing\"],\"extensionsRequired\":[\"EXT_mesh_gpu_instancing\"],\"scene\":0,\"scenes\":[{\"nodes\":[0]}],"
+            "\"nodes\":[{\"mesh\":0,\"scale\":[2,2,2],\"extensions\":{\"EXT_mesh_gpu_instancing\":{\"attributes\":{\"TRANSLATION\":1,\"ROTATION\":2}}}}],"
+            "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0}}]}],\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},"
+            "{\"bufferView\":0,\"byteOffset\":36,\"componentType\":5126,\"count\":2,\"type\":\"VEC3\"},{\"bufferView\":1,\"componentType\":5122,\"normalized\":true,\"count\":2,\"type\":\"VEC4\"}],"
+            "\"bufferViews\":[{\"buffer\":0,\"byteLength\":60},{\"buffer\":0,\"byteOffset\":60,\"byteLength\":16}],\"buffers\":[{\"byteLength\":76,\"uri\":\"i.bin\"}]}"), &m)) return;
+    CHECK_U64(m.shape_count, 1);
+    CHECK_U64(m.instance_count, 2);
+    svo_vec3 a = svo_mat4_point(&m.instances[0].transform, svo_v3(1, 0, 0)), b = svo_mat4_point(&m.instances[1].transform, svo_v3(1, 0, 0));
+    CHECK(a.x == 22 && a.y == 0 && fabs(b.x + 2) < 1e-9 && fabs(b.y - 10) < 1e-9);
+    svo_mesh_free(&m);
+}
+
+TEST(gltf_skin_in_bind_pose)
+{
+    /* Three vertices bound to joint 1 (moved by +3 in x) with weights 0.5 (not normalised); the skinned node's own translation
+     * must have no effect; no inverse bind matrices: identity. */
+    uint8_t bytes[36 + 12 + 48];
+    const float xyz[9] = {0, 0, 0, 1, 0, 0, 0, 1, 0}, weights[12] = {0.5f, 0, 0, 0, 0.5f, 0, 0, 0, 0.5f, 0, 0, 0};
+    const uint8_t joints[12] = {1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0};
+    memcpy(bytes, xyz, 36);
+    memcpy(bytes + 36, joints, 12);
+    memcpy(bytes + 48, weights, 48);
+    CHECK(import_put("s.bin", bytes, sizeof bytes) != NULL);
+    svo_mesh m;
+    if (!load(import_put_text("s.gltf",
+            "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0,1]}],\"nodes\":[{\"mesh\":0,\"skin\":0,\"translation\":[100,0,0]},"
+            "{\"children\":[2],\"translation\":[1,0,0]},{\"translation\":[2,0,0]}],\"skins\":[{\"joints\":[1,2]}],"
+            "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"JOINTS_0\":1,\"WEIGHTS_0\":2}}]}],"
+            "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},{\"bufferView\":1,\"componentType\":5121,\"count\":3,\"type\":\"VEC4\"},"
+            "{\"bufferView\":2,\"componentType\":5126,\"count\":3,\"type\":\"VEC4\"}],\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":12},"
+            "{\"buffer\":0,\"byteOffset\":48,\"byteLength\":48}],\"buffers\":[{\"byteLength\":96,\"uri\":\"s.bin\"}]}"), &m)) return;
+    double low[3], high[3];
+    CHECK(svo_mesh_bounds(&m, low, high));
+    CHECK(low[0] == 3 && high[0] == 4 && low[1] == 0 && high[1] == 1);
+    CHECK(import_has_warning(&warnings, "bind pose"));
+    svo_mesh_free(&m);
+}
