@@ -66,9 +66,9 @@ static svo_result write_voxels(dump_job *j, const svo_scene *s, uint64_t voxels,
 {
     svo_channel channels[SVO_MAX_CHANNELS];
     uint32_t columns = shared_channels(s, channels);
-    for (uint32_t i = 0; i < s->asset_count; i++)
-        if (s->assets[i]->channel_count != columns)
-            svo_warn(&j->c->warnings, "%.100s: the point cloud has only the %u attributes that all assets share", j->path, columns);
+    bool dropped = false;
+    for (uint32_t i = 0; i < s->asset_count; i++) dropped |= s->assets[i]->channel_count != columns;
+    if (dropped) svo_warn(&j->c->warnings, "%.100s: the point cloud leaves out attributes that not all assets have; shared: %u", j->path, columns);
     dump_ply *p;
     SVO_TRY(dump_ply_begin(j, voxels, channels, columns, true, &p, err));
     svo_result r = write_instances(s, channels, columns, p, err);
