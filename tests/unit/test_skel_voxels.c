@@ -93,7 +93,7 @@ static bool all(int x, int y, int z, int n) { return x >= 0 && y >= 0 && z >= 0 
 static bool same_curve(const skel_skeleton *a, const skel_skeleton *b)
 {
     return a->joint_count == b->joint_count && a->bone_count == b->bone_count && memcmp(a->joints, b->joints, a->joint_count * sizeof *a->joints) == 0 &&
-           memcmp(a->bones, b->bones, a->bone_count * sizeof *a->bones) == 0;
+           (a->bone_count == 0 || memcmp(a->bones, b->bones, a->bone_count * sizeof *a->bones) == 0);
 }
 
 TEST(tube_axis_and_map)
