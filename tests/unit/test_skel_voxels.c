@@ -53,7 +53,7 @@ static svo_result build(const tree *t, const skel_options *o, skel_skeleton *s)
     svo_buffer file;
     svo_buffer_init(&file, NULL);
     tree_write(t, 1, &file, NULL);
-    fmt_input *in;
+    fmt_input *in = NULL;
     fmt_svo_reader *r;
     svo_result result = fmt_input_open_memory(file.data, file.size, &in, &err);
     if (result == SVO_OK) result = fmt_svo_reader_open(in, o->allocator, &r, &err);
@@ -61,8 +61,8 @@ static svo_result build(const tree *t, const skel_options *o, skel_skeleton *s)
         svo_chunk_source source = fmt_svo_reader_source(r);
         result = skel_build_voxels(fmt_svo_reader_info(r), &source, o, s, &err);
         fmt_svo_reader_close(r);
-        fmt_input_close(in);
     }
+    if (in != NULL) fmt_input_close(in);
     svo_buffer_free(&file);
     return result;
 }
