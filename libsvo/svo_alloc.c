@@ -131,7 +131,8 @@ bool svo_buffer_reserve(svo_buffer *b, size_t extra)
 
 void *svo_buffer_append(svo_buffer *b, const void *bytes, size_t size)
 {
-    if (!svo_buffer_reserve(b, size)) return NULL;
+    /* Appending nothing to an empty buffer is no failure, so it must not give NULL. */
+    if (!svo_buffer_reserve(b, b->data == NULL && size == 0 ? 1 : size)) return NULL;
     uint8_t *to = b->data + b->size;
     if (size != 0) {
         if (bytes != NULL) memcpy(to, bytes, size);

@@ -56,6 +56,18 @@ TEST(limit_allocator_holds_its_limit)
     CHECK_U64(svo_limit_peak(&a), 1000);
 }
 
+TEST(buffers_grow_and_take_nothing)
+{
+    svo_buffer b;
+    svo_buffer_init(&b, NULL);
+    CHECK(svo_buffer_append(&b, NULL, 0) != NULL && b.size == 0);
+    for (uint32_t i = 0; i < 1000; i++) CHECK(svo_buffer_append(&b, &i, sizeof i) != NULL);
+    CHECK_U64(b.size, 4000);
+    CHECK(((const uint32_t *)(const void *)b.data)[999] == 999);
+    svo_buffer_free(&b);
+    CHECK(b.data == NULL && b.size == 0);
+}
+
 static svo_result count_items(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     (void)worker, (void)err;
