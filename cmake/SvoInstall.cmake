@@ -1,12 +1,26 @@
 # `cmake --install`: tools, libraries, headers, a CMake package (find_package(svokit)) and pkg-config files.
 include(CMakePackageConfigHelpers)
-install(EXPORT svokit-targets NAMESPACE svokit:: DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/svokit)
-configure_package_config_file(${CMAKE_CURRENT_SOURCE_DIR}/cmake/svokit-config.cmake.in
-  ${CMAKE_CURRENT_BINARY_DIR}/svokit-config.cmake INSTALL_DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/svokit)
-write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/svokit-config-version.cmake COMPATIBILITY SameMinorVersion)
-install(FILES ${CMAKE_CURRENT_BINARY_DIR}/svokit-config.cmake ${CMAKE_CURRENT_BINARY_DIR}/svokit-config-version.cmake
-        DESTINATION ${CMAKE_INSTALL_LIBDIR}/cmake/svokit)
+
+# svo_install(target prefix): the library, and its public headers, which are those whose names begin with the prefix.
+function(svo_install target prefix)
+  target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}>
+                                              $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/svokit>)
+  file(GLOB headers CONFIGURE_DEPENDS ${prefix}*.h)
+  set_property(GLOBAL APPEND PROPERTY SVO_PUBLIC_HEADERS ${headers})
+  install(TARGETS ${target} EXPORT svokit-targets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
+  install(FILES ${headers} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/svokit)
+endfunction()
+
+set(package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/svokit)
+install(EXPORT svokit-targets NAMESPACE svokit:: DESTINATION ${package_folder})
+configure_package_config_file(${CMAKE_CURRENT_LIST_DIR}/svokit-config.cmake.in ${PROJECT_BINARY_DIR}/svokit-config.cmake
+  INSTALL_DESTINATION ${package_folder})
+write_basic_package_version_file(${PROJECT_BINARY_DIR}/svokit-config-version.cmake COMPATIBILITY SameMinorVersion)
+install(FILES ${PROJECT_BINARY_DIR}/svokit-config.cmake ${PROJECT_BINARY_DIR}/svokit-config-version.cmake DESTINATION ${package_folder})
+
+# The pkg-config files find their prefix from where they lie, so that an installation can be moved.
+file(RELATIVE_PATH pc_prefix /prefix/${CMAKE_INSTALL_LIBDIR}/pkgconfig /prefix)
 foreach(name svo svoskel svoformats)
-  configure_file(${CMAKE_CURRENT_SOURCE_DIR}/cmake/${name}.pc.in ${CMAKE_CURRENT_BINARY_DIR}/${name}.pc @ONLY)
-  install(FILES ${CMAKE_CURRENT_BINARY_DIR}/${name}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+  configure_file(${CMAKE_CURRENT_LIST_DIR}/${name}.pc.in ${PROJECT_BINARY_DIR}/${name}.pc @ONLY)
+  install(FILES ${PROJECT_BINARY_DIR}/${name}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
 endforeach()

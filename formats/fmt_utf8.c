@@ -2,9 +2,9 @@
 
 #include <string.h>
 
-/* Bytes of the well-formed character at p (size >= 1 bytes are there), 0 if there is none. */
-static uint64_t character(const unsigned char *p, uint64_t size)
+uint64_t fmt_utf8_character(const char *text, uint64_t size)
 {
+    const unsigned char *p = (const unsigned char *)text;
     unsigned char c = p[0], low = 0x80, high = 0xbf; /* limits of the second byte */
     uint64_t n;
     if (c < 0x80) return 1;
@@ -27,7 +27,7 @@ static uint64_t character(const unsigned char *p, uint64_t size)
 bool fmt_utf8_valid(const char *text, uint64_t size)
 {
     for (uint64_t i = 0; i < size;) {
-        uint64_t n = character((const unsigned char *)text + i, size - i);
+        uint64_t n = fmt_utf8_character(text + i, size - i);
         if (n == 0) return false;
         i += n;
     }
@@ -38,7 +38,7 @@ void fmt_utf8_repair(char *text)
 {
     uint64_t size = strlen(text);
     for (uint64_t i = 0; i < size;) {
-        uint64_t n = character((const unsigned char *)text + i, size - i);
+        uint64_t n = fmt_utf8_character(text + i, size - i);
         if (n == 0) text[i] = '?', n = 1;
         i += n;
     }

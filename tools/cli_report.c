@@ -9,24 +9,7 @@
 
 #include "cli_internal.h"
 #include "fmt_file.h"
-
-/* Length of the valid UTF-8 sequence at p (NUL-terminated text), 0 if there is none. */
-static size_t utf8_length(const uint8_t *p)
-{
-    static const struct { uint8_t mask, lead; uint32_t least; } form[] = {
-        {0x80, 0x00, 0}, {0xe0, 0xc0, 0x80}, {0xf0, 0xe0, 0x800}, {0xf8, 0xf0, 0x10000}};
-    for (size_t n = 0; n < 4; n++) {
-        if ((p[0] & form[n].mask) != form[n].lead) continue;
-        uint32_t code = p[0] & (uint32_t)(uint8_t)~form[n].mask;
-        for (size_t i = 1; i <= n; i++) {
-            if ((p[i] & 0xc0) != 0x80) return 0;
-            code = code << 6 | (p[i] & 0x3fu);
-        }
-        bool good = code >= form[n].least && code <= 0x10ffff && (code < 0xd800 || code > 0xdfff);
-        return good ? n + 1 : 0;
-    }
-    return 0;
-}
+#include "fmt_utf8.h"
 
 json_t *cli_text(const char *value)
 {
@@ -35,10 +18,10 @@ json_t *cli_text(const char *value)
     size_t length = strlen(value), at = 0;
     char *copy = malloc(3 * length + 1);
     if (copy == NULL) return NULL;
-    for (const char *p = value; *p != 0;) {
-        size_t n = utf8_length((const uint8_t *)p);
-        if (n > 0) memcpy(copy + at, p, n), at += n, p += n;
-        else memcpy(copy + at, "\xef\xbf\xbd", 3), at += 3, p++;
+    for (size_t i = 0; i < length;) {
+        size_t n = fmt_utf8_character(value + i, length - i);
+        if (n > 0) memcpy(copy + at, value + i, n), at += n, i += n;
+        else memcpy(copy + at, "\xef\xbf\xbd", 3), at += 3, i++; /* U+FFFD */
     }
     json_t *text = json_stringn(copy, at);
     free(copy);

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "fmt_skel.h"
-#include "svo_text.h"
 
 enum { LISTED = 1000 }; /* joints and bones named one by one */
 

@@ -7,8 +7,6 @@
 
 #include <cstring>
 
-using json = nlohmann::json;
-
 namespace
 {
 
@@ -108,12 +106,12 @@ std::vector<uint8_t> decode_base64(const gltf_document &d, const char *p, size_t
     return out;
 }
 
-void load_buffers(gltf_document &d, const json &root, const frame &f)
+void load_buffers(gltf_document &d, const nlohmann::json &root, const frame &f)
 {
     auto it = root.find("buffers");
     if (it == root.end()) return;
     for (size_t i = 0; i < it->size(); i++) {
-        const json &o = (*it)[i];
+        const nlohmann::json &o = (*it)[i];
         uint64_t need = o["byteLength"].get<uint64_t>();
         auto uri = o.find("uri");
         std::unique_ptr<gltf_bytes> b;
@@ -136,11 +134,11 @@ void load_buffers(gltf_document &d, const json &root, const frame &f)
     }
 }
 
-void take_images(gltf_document &d, const json &root)
+void take_images(gltf_document &d, const nlohmann::json &root)
 {
     auto it = root.find("images");
     if (it == root.end()) return;
-    for (const json &o : *it) {
+    for (const nlohmann::json &o : *it) {
         gltf_image image;
         image.uri = o.value("uri", std::string());
         image.mime = o.value("mimeType", std::string());
@@ -152,26 +150,26 @@ void take_images(gltf_document &d, const json &root)
 }
 
 /* tinygltf demands inverse bind matrices, which are optional. */
-void take_skins(gltf_document &d, const json &root)
+void take_skins(gltf_document &d, const nlohmann::json &root)
 {
     auto it = root.find("skins");
     if (it == root.end()) return;
-    for (const json &o : *it) {
+    for (const nlohmann::json &o : *it) {
         gltf_skin skin;
-        for (const json &j : o["joints"]) skin.joints.push_back(static_cast<int>(j.get<uint64_t>()));
+        for (const nlohmann::json &j : o["joints"]) skin.joints.push_back(static_cast<int>(j.get<uint64_t>()));
         if (o.contains("inverseBindMatrices")) skin.inverse_bind_matrices = static_cast<int>(o["inverseBindMatrices"].get<uint64_t>());
         d.skins.push_back(std::move(skin));
     }
 }
 
 /* tinygltf refuses index accessors without a buffer view, which Draco and sparse data have by right. */
-void take_indices(gltf_document &d, json &root)
+void take_indices(gltf_document &d, nlohmann::json &root)
 {
     auto it = root.find("meshes");
     if (it == root.end()) return;
-    for (json &mesh : *it) {
+    for (nlohmann::json &mesh : *it) {
         d.indices.emplace_back();
-        for (json &primitive : mesh["primitives"]) {
+        for (nlohmann::json &primitive : mesh["primitives"]) {
             auto i = primitive.find("indices");
             d.indices.back().push_back(i != primitive.end() ? static_cast<int>(i->get<uint64_t>()) : -1);
             primitive.erase("indices");
@@ -217,7 +215,7 @@ void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size)
     }
     std::string slim;
     {
-        json root = gltf_parse_json(d.path(), f.text, f.text_size);
+        nlohmann::json root = gltf_parse_json(d.path(), f.text, f.text_size);
         gltf_check(d, root);
         load_buffers(d, root, f);
         take_images(d, root);

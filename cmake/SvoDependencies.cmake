@@ -1,0 +1,20 @@
+# Third-party libraries. Here, not in the folders that use them, because imported targets must be known wherever a static
+# library is linked. svokit-config.cmake.in and the .pc.in files repeat what the installed libraries need.
+find_package(Threads REQUIRED)
+find_package(PkgConfig REQUIRED)
+
+# libskel. FLANN is header-only but for its serialisation, which wants lz4. (Its pkg-config file drags in MPI and HDF5, which
+# the headers do not need.)
+find_path(FLANN_INCLUDE_DIR flann/flann.hpp REQUIRED)
+pkg_check_modules(LZ4 REQUIRED IMPORTED_TARGET liblz4)
+
+# formats. Headers alone: nlohmann-json and tinygltf (Debian's shared library is not used: the header is compiled in
+# adapters/gltf_load.cpp).
+find_package(PNG REQUIRED)
+find_package(JPEG REQUIRED)
+find_package(draco REQUIRED)
+pkg_check_modules(ZSTD REQUIRED IMPORTED_TARGET libzstd)
+pkg_check_modules(XXHASH REQUIRED IMPORTED_TARGET libxxhash)
+pkg_check_modules(JANSSON REQUIRED IMPORTED_TARGET jansson)
+find_path(TINYGLTF_INCLUDE_DIR tiny_gltf.h REQUIRED)
+find_path(NLOHMANN_INCLUDE_DIR nlohmann/json.hpp REQUIRED)
