@@ -11,7 +11,7 @@ import subprocess
 import support
 from support import check, run, tool, tools
 
-TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare", "svo-skeleton"]
+TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare", "svo-skeleton", "svo-bench"]
 READS_OURS = ["svo-compress", "svo-render", "svo-dump", "svo-compare", "svo-skeleton"]
 WRITES = {"svo-voxelize": "o.svo", "svo-compress": "o.svdag", "svo-pack": "o.svscene", "svo-render": "o.png", "svo-skeleton": "o.skel"}
 
@@ -39,6 +39,7 @@ class Inputs:
             "svo-dump": [self.svo],
             "svo-compare": [self.svo, self.svdag],
             "svo-skeleton": [self.obj, "--omega", "0.3"],
+            "svo-bench": [self.obj, "--sweep", "depth", "--values", "2,3", "--repeat", 1],
         }[name]
         return args + (["-o", out] if out is not None else [])
 
@@ -241,7 +242,7 @@ def test_unsupported(folder):
     # a kind or a version of our container that is not known; rightly hashed headers are tested in C
     gltf = folder / "needs.gltf"
     gltf.write_text(json.dumps({"asset": {"version": "2.0"}, "extensionsUsed": ["EXT_not_there"], "extensionsRequired": ["EXT_not_there"]}))
-    for name in [n for n in TOOLS if n in ("svo-voxelize", "svo-skeleton")]:
+    for name in [n for n in TOOLS if n in ("svo-voxelize", "svo-skeleton", "svo-bench")]:
         r = fails(name, inputs.replaced(name, gltf, new_output(folder, name)), 5, folder)
         check("EXT_not_there" in r.err, r)
     image = folder / "a.webp"
@@ -290,7 +291,7 @@ def test_pipes_and_closed_streams(folder):
     run("svo-dump", "-", stdin=svo)
     check(tool("svo-compare", "-", inputs.svdag, stdin=svo).code == 0)
     # a reader that goes away is an I/O error, not a signal
-    for name in ("svo-dump", "svo-compare"):
+    for name in ("svo-dump", "svo-compare", "svo-bench"):
         read, write = os.pipe()
         os.close(read)
         p = subprocess.run([str(tools / name)] + [str(a) for a in inputs.good(name)], stdout=write, stderr=subprocess.PIPE)

@@ -1,0 +1,106 @@
+/* svo-bench: what its parts share. One row for each model and value of the swept parameter. */
+#ifndef BENCH_H
+#define BENCH_H
+
+#include "cli.h"
+#include "fmt_file.h"
+
+typedef enum bench_sweep { SWEEP_DEPTH, SWEEP_COLOR, SWEEP_NORMAL, SWEEP_OMEGA } bench_sweep;
+
+enum { BENCH_MAX_VALUES = 64, BENCH_MAX_REPEAT = 1000 };
+
+/* What is measured. Names, units and meanings are in bench_columns. */
+typedef enum bench_column {
+    COL_TRIANGLES, COL_IMPORT_WALL, COL_DEPTH, COL_VOXELS, COL_NODES, COL_VOXELIZE_WALL, COL_VOXELIZE_CPU, COL_COMPRESS_WALL,
+    COL_COMPRESS_CPU, COL_TOTAL_WALL, COL_TOTAL_CPU, COL_SVO_BYTES, COL_SVDAG_BYTES, COL_SVO_PER_VOXEL, COL_SVDAG_PER_VOXEL,
+    COL_GEOMETRY_BYTES, COL_ATTRIBUTE_BYTES, COL_CHANNEL_BYTES, COL_CHANNEL_PER_VOXEL, COL_DISTINCT_IN, COL_DISTINCT_OUT,
+    COL_VOXEL_SIZE, COL_MEAN_VOXELS, COL_MAX_VOXELS, COL_BOUND_VOXELS, COL_MEAN_WORLD, COL_MAX_WORLD, COL_BOUND_WORLD,
+    COL_MEAN_PERCENT, COL_MAX_PERCENT, COL_SAMPLES, COL_SNAP_MEAN, COL_SNAP_MAX, COL_DELTA_E_MEAN, COL_DELTA_E_MAX,
+    COL_DEGREES_MEAN, COL_DEGREES_MAX, COL_SKELETON_WALL, COL_SKELETON_CPU, COL_CONVERGED, COL_ITERATIONS, COL_VERTICES,
+    COL_JOINTS, COL_BONES, COL_COMPONENTS, COL_ENDS, COL_BRANCHES, COL_LOOPS, COL_THINNESS, COL_SURFACE_MEAN, COL_SURFACE_MAX,
+    COL_RECONSTRUCTION_MEAN, COL_RECONSTRUCTION_MAX, COL_SKEL_BYTES, COL_VOXELIZE_PEAK, COL_COMPRESS_PEAK, COL_SKELETON_PEAK,
+    COL_COUNT
+} bench_column;
+
+typedef struct bench_column_info {
+    const char *name;   /* in CSV and JSON, ends with the unit where there is one */
+    const char *brief;  /* heading of the printed table; NULL = not printed */
+    const char *unit;   /* "" = a count */
+    const char *meaning;
+    uint32_t sweeps;    /* bit 1 << bench_sweep: where it applies */
+    bool integer;
+} bench_column_info;
+extern const bench_column_info bench_columns[COL_COUNT];
+
+/* The pair that a sweep is about, for the plot and the Pareto front. */
+typedef struct bench_axes {
+    bench_column seconds, bytes, error, error_max;
+    const char *error_title, *seconds_title, *bytes_title, *max_note;
+} bench_axes;
+const bench_axes *bench_axes_of(bench_sweep sweep);
+extern const char *const bench_sweep_names[];
+
+typedef enum bench_value_kind { VALUE_NUMBER, VALUE_BOUND, VALUE_LOSSLESS } bench_value_kind;
+typedef struct bench_value {
+    bench_value_kind kind;
+    double number;
+    char label[24];
+} bench_value;
+
+typedef struct bench_model {
+    char *path;
+    const char *name; /* the shortest end of path that no other model shares; UTF-8, so it may lie in `owned` */
+    char *owned;
+} bench_model;
+
+typedef struct bench_row {
+    svo_result result;
+    char error[240];        /* why there are no figures */
+    double value[COL_COUNT]; /* NAN where not measured */
+    bool front_seconds, front_bytes; /* no other row of the model is better in one and not worse in the other */
+} bench_row;
+
+typedef struct bench {
+    cli *c;
+    bench_sweep sweep;
+    uint64_t depth, repeat;
+    int attributes; /* of the sweep of depth: 0 automatic, 1 none */
+    uint32_t value_count;
+    bench_value values[BENCH_MAX_VALUES];
+    uint32_t model_count;
+    bench_model *models;
+    bench_row *rows; /* model_count * value_count, model by model */
+    char *command;   /* as given, UTF-8 */
+} bench;
+
+static inline bench_row *bench_row_at(const bench *b, uint32_t model, uint32_t value)
+{
+    return &b->rows[(uint64_t)model * b->value_count + value];
+}
+
+/* Measure all values of one model into its rows; a failure is noted in the rows it concerns. */
+void bench_measure(bench *b, uint32_t model);
+/* Mark the Pareto fronts of every model, when all rows are measured. */
+void bench_mark_fronts(bench *b);
+
+/* "6..10,12", "4..14:2", "deltaE=1,lossless"; NULL = the sweep's default. False with the reason in why. */
+bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BENCH_MAX_VALUES], uint32_t *count, char why[200]);
+
+/* Text in memory; after a failure to allocate nothing is added and `failed` stays set. */
+typedef struct bench_text {
+    svo_buffer bytes;
+    bool failed;
+} bench_text;
+void bench_text_add(bench_text *t, const char *format, ...) SVO_PRINTF(2, 3);
+/* With & < > " ' escaped and characters that XML 1.0 does not allow replaced. `text` is UTF-8. */
+void bench_text_xml(bench_text *t, const char *text);
+
+void bench_write_csv(const bench *b, bench_text *out);
+void bench_write_svg(const bench *b, bench_text *out);
+void bench_write_table(const bench *b, bench_text *out);
+/* New reference. */
+json_t *bench_json(const bench *b);
+/* "2 processors, 2 threads, gcc 12.2.0": what times depend on; no name of the machine. */
+json_t *bench_host(const cli *c);
+
+#endif
