@@ -1,0 +1,7 @@
+/* .gltf and .glb with everything inside; files beside it are never there. */
+#define READER import_gltf
+#include "mesh.h"
+
+static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err) { return read_mesh(bytes, size, a, "/nowhere/", err); }
+
+const fuzz_target fuzz_this = {.read = read, .memory = 64 << 20, .opens_files = true};
