@@ -99,12 +99,13 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
         return r;
     }
     svo_mesh mesh = {.allocator = c->allocator};
-    import_reader *reader = by_content(bytes.data, bytes.size);
+    bool empty = bytes.size == 0; /* and no bytes to point to */
+    import_reader *reader = empty ? NULL : by_content(bytes.data, bytes.size);
     if (reader == NULL) reader = by_extension(path);
-    if (reader == NULL && looks_like_obj((const char *)bytes.data, (const char *)bytes.data + bytes.size)) reader = import_obj;
+    if (reader == NULL && !empty && looks_like_obj((const char *)bytes.data, (const char *)bytes.data + bytes.size)) reader = import_obj;
     if (reader == NULL)
         r = svo_fail(err, SVO_UNSUPPORTED, "%s: not a mesh format that is known (.gltf .glb .obj .ply .stl .off .drc)", path);
-    else if (bytes.size == 0)
+    else if (empty)
         r = svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
     else
         r = reader(c, bytes.data, bytes.size, &mesh, err);

@@ -442,7 +442,7 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     svo_free(a, p.first_use, p.slots / 2, sizeof *p.first_use);
     scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names;
     scene.asset_count = asset_count(&p);
-    scene.assets = asset_at(&p, 0);
+    scene.assets = (fmt_scene_json_asset *)(void *)p.assets.data;
     if (result != SVO_OK) {
         fmt_scene_json_free(&scene);
         return result;

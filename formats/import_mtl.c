@@ -284,6 +284,7 @@ static svo_result read_term(mtl_parser *t, const char *p, const char *end, svo_e
 
 svo_result mtl_read(mtl_set *set, const import_context *c, const uint8_t *bytes, uint64_t size, svo_error *err)
 {
+    if (size == 0) return SVO_OK; /* bytes may be NULL */
     mtl_parser t = {.set = set, .context = c};
     const char *p = (const char *)bytes, *end = p + size;
     if (size >= 3 && memcmp(p, "\xef\xbb\xbf", 3) == 0) p += 3;
