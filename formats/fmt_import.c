@@ -79,6 +79,8 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->max_file_bytes = o->max_file_bytes != 0 ? o->max_file_bytes : (uint64_t)16 << 30;
     c->max_image_pixels = o->max_image_pixels;
     c->skip_images = o->skip_images;
+    c->file_read = o->file_read;
+    c->file_read_user = o->file_read_user;
     const char *slash = strrchr(path, '/');
     size_t n = slash != NULL ? (size_t)(slash - path) + 1 : 0;
     if (n >= sizeof c->folder) return svo_fail(err, SVO_INVALID_ARGUMENT, "%.100s...: the path is too long", path);
@@ -93,7 +95,7 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
     if (c == NULL) return import_no_memory(err);
     svo_result r = make_context(path, options != NULL ? options : &defaults, c, err);
     fmt_bytes bytes = {0};
-    if (r == SVO_OK) r = fmt_bytes_open(path, c->max_file_bytes, c->allocator, &bytes, err);
+    if (r == SVO_OK) r = import_open(c, path, &bytes, err);
     if (r != SVO_OK) {
         svo_free(NULL, c, 1, sizeof *c);
         return r;

@@ -14,6 +14,11 @@ typedef struct fmt_import_options {
     uint64_t max_image_pixels;      /* 0 = 2^28 */
     bool skip_images;               /* do not decode textures (geometry only) */
     svo_warnings *warnings;         /* may be NULL */
+    /* Called for every file that was read, the model first and then what it refers to (materials, buffers, textures), in
+     * the order of reading, with its path as it was opened and its bytes, which are valid during the call only. May be
+     * NULL. An image that is used twice may be read, and told, twice. */
+    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size);
+    void *file_read_user;
 } fmt_import_options;
 
 /* Format by content first, then by extension: .gltf .glb .obj .ply .stl .off .drc. Unknown = SVO_UNSUPPORTED; a file

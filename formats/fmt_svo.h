@@ -14,6 +14,15 @@ extern "C" {
 typedef struct fmt_svo_writer fmt_svo_writer;
 svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, const char *provenance, int level,
                                 const svo_allocator *a, fmt_svo_writer **writer, svo_error *err);
+/* Which part of a job a file holds (chunk SHRD): the chunks with first_code <= code < end_code. */
+typedef struct fmt_svo_shard {
+    uint32_t index, count; /* 1 <= index <= count <= FMT_SVO_MAX_SHARDS */
+    uint64_t first_code, end_code;
+    uint8_t job[16]; /* the same in all shards of a job: a hash of its inputs and options */
+} fmt_svo_shard;
+#define FMT_SVO_MAX_SHARDS 100000u
+/* Say that the file is a shard. Right after fmt_svo_writer_begin. */
+svo_result fmt_svo_writer_shard(fmt_svo_writer *w, const fmt_svo_shard *shard, svo_error *err);
 svo_chunk_sink fmt_svo_writer_sink(fmt_svo_writer *w);
 /* Writes counts, table and footer, fills *counts (may be NULL) and frees the writer, also on failure. */
 svo_result fmt_svo_writer_end(fmt_svo_writer *w, svo_tree_counts *counts, svo_error *err);
@@ -27,10 +36,25 @@ svo_result fmt_svo_reader_open(fmt_input *in, const svo_allocator *a, fmt_svo_re
 const svo_tree_info *fmt_svo_reader_info(const fmt_svo_reader *r);
 /* JSON text or "". Like counts and content hash it is valid after fetch has said that there is no more (META comes last). */
 const char *fmt_svo_reader_provenance(const fmt_svo_reader *r);
+/* NULL when the file is no shard, or before the first fetch. */
+const fmt_svo_shard *fmt_svo_reader_shard(const fmt_svo_reader *r);
 svo_chunk_source fmt_svo_reader_source(fmt_svo_reader *r);
 const svo_tree_counts *fmt_svo_reader_counts(const fmt_svo_reader *r);
 void fmt_svo_reader_content_hash(const fmt_svo_reader *r, uint8_t out[16]);
 void fmt_svo_reader_close(fmt_svo_reader *r);
+
+/* Join all shards of one job, given in any order, to the file that one run would have written, byte by byte. Shards are
+ * read one after the other and their chunks copied as they are stored, after their hashes and descriptions have been
+ * checked; memory is a chunk and 64 bytes a shard. Every path is opened twice. SVO_INVALID_DATA, naming files, when a shard is missing,
+ * there twice or of another job, or when an input is no shard. */
+typedef struct fmt_svo_merge_report {
+    svo_tree_info info;
+    svo_tree_counts counts;
+    uint32_t shards;
+    uint64_t bytes_read;
+} fmt_svo_merge_report;
+svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a,
+                         fmt_svo_merge_report *report, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -1,4 +1,4 @@
-/* HEAD of .svo and the channel records. */
+/* HEAD and SHRD of .svo and the channel records. */
 #include <math.h>
 #include <string.h>
 
@@ -132,5 +132,30 @@ svo_result fmti_parse_head(const fmt_chunk *chunk, const uint8_t *bytes, uint64_
     const char *why = fmti_check_info(&n);
     if (why != NULL) return fmt_chunk_fail(err, SVO_INVALID_DATA, chunk->type, at, "%s", why);
     *info = n;
+    return SVO_OK;
+}
+
+void fmti_store_shard(const fmt_svo_shard *s, uint8_t *to)
+{
+    fmt_store32(to, s->index);
+    fmt_store32(to + 4, s->count);
+    fmt_store64(to + 8, s->first_code);
+    fmt_store64(to + 16, s->end_code);
+    memcpy(to + 24, s->job, sizeof s->job);
+}
+
+svo_result fmti_parse_shard(const fmt_chunk *c, const uint8_t *bytes, uint64_t size, uint32_t depth, fmt_svo_shard *shard, svo_error *err)
+{
+    if ((c->flags & FMT_CHUNK_CRITICAL) != 0 || c->codec != FMT_CODEC_NONE || c->id != 0 || c->element_count != 0 || c->element_stride != 0 ||
+        size != FMTI_SVO_SHARD_SIZE)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "wrong flags, codec, id, element fields or size (SVO-10)");
+    fmt_svo_shard s = {.index = fmt_load32(bytes), .count = fmt_load32(bytes + 4), .first_code = fmt_load64(bytes + 8), .end_code = fmt_load64(bytes + 16)};
+    memcpy(s.job, bytes + 24, sizeof s.job);
+    if (s.count == 0 || s.count > FMT_SVO_MAX_SHARDS || s.index == 0 || s.index > s.count)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset, "there is no shard %u of %u (SVO-10)", s.index, s.count);
+    if (s.first_code > s.end_code || s.end_code > (uint64_t)1 << 3 * svo_chunk_level(depth))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset + 8, "no range of codes: %llx to %llx (SVO-10)", (unsigned long long)s.first_code,
+                              (unsigned long long)s.end_code);
+    *shard = s;
     return SVO_OK;
 }

@@ -14,14 +14,15 @@ struct fmt_svo_reader {
     uint64_t previous; /* code of the last chunk fetched */
     svo_tree_counts fetched; /* chunks and levels above the cut, and finest voxels as the chunk headers say */
     svo_tree_counts stat;
-    bool has_stat, ended;
+    bool has_stat, ended, has_shard;
+    fmt_svo_shard shard;
     fmt_chunk stat_chunk;
     /* What decode has seen. STAT is compared by whoever comes last, the end of the stream or the last decode. */
     pthread_mutex_t lock;
     svo_tree_counts decoded;
 };
 
-static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_TREE, FMTI_SVO_STAT, FMT_TYPE_META};
+static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_SHRD, FMTI_SVO_TREE, FMTI_SVO_STAT, FMT_TYPE_META};
 enum { KNOWN = sizeof known_types / sizeof known_types[0] };
 
 /* "SVDAG", not the four bytes, for people. */
@@ -91,6 +92,8 @@ const char *fmt_svo_reader_provenance(const fmt_svo_reader *r) { return r->prove
 const svo_tree_counts *fmt_svo_reader_counts(const fmt_svo_reader *r) { return &r->stat; }
 void fmt_svo_reader_content_hash(const fmt_svo_reader *r, uint8_t out[16]) { fmt_stream_content_hash(r->stream, out); }
 
+const fmt_svo_shard *fmt_svo_reader_shard(const fmt_svo_reader *r) { return r->has_shard ? &r->shard : NULL; }
+
 static svo_result stat_fail(const fmt_svo_reader *r, const char *what, uint64_t stat, uint64_t seen, svo_error *err)
 {
     return fmt_chunk_fail(err, SVO_INVALID_DATA, FMTI_SVO_STAT, r->stat_chunk.offset, "it states %llu %s, the file has %llu (SVO-08)",
@@ -138,6 +141,17 @@ static svo_result read_meta(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *s
     return fmt_meta_text(c, scratch->data, scratch->size, r->allocator, &r->provenance, err);
 }
 
+static svo_result read_shard(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *scratch, svo_error *err)
+{
+    if (r->has_shard || r->has_stat || r->fetched.chunks != 0)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "it may come once, before the first TREE (SVO-10)");
+    if (c->stored_size > FMTI_SVO_SHARD_SIZE) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "too long (SVO-10)");
+    SVO_TRY(fmt_stream_payload(r->stream, c, scratch, err));
+    SVO_TRY(fmti_parse_shard(c, scratch->data, scratch->size, r->info.depth, &r->shard, err));
+    r->has_shard = true;
+    return SVO_OK;
+}
+
 /* A TREE chunk's header against what is known, before its bytes are read: SVO-05, SVO-06. */
 static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
 {
@@ -147,6 +161,8 @@ static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *e
     if (c->id >> 3 * level != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the grid (SVO-05)", (unsigned long long)c->id);
     if (r->fetched.chunks != 0 && c->id <= r->previous)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)c->id, (unsigned long long)r->previous);
+    if (r->has_shard && (c->id < r->shard.first_code || c->id >= r->shard.end_code))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the shard (SVO-10)", (unsigned long long)c->id);
     uint64_t voxels = c->element_count, most_voxels = (uint64_t)1 << 3 * levels, most_masks = (most_voxels - 1) / 7;
     if (voxels == 0 || voxels > most_voxels) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu voxels in a chunk (SVO-06)", (unsigned long long)voxels);
     uint64_t rest = 16 + voxels * r->voxel_bytes;
@@ -181,6 +197,8 @@ static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *e
         if (c.type == FMTI_SVO_HEAD) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "a second HEAD (SVO-01)");
         if (c.type == FMTI_SVO_STAT) {
             SVO_TRY(read_stat(r, &c, packed, err));
+        } else if (c.type == FMTI_SVO_SHRD) {
+            SVO_TRY(read_shard(r, &c, packed, err));
         } else if (c.type == FMT_TYPE_META) {
             SVO_TRY(read_meta(r, &c, packed, err));
         } else if (c.type == FMTI_SVO_TREE) {
@@ -255,13 +273,19 @@ static uint64_t unpacked_size(const svo_tree_info *info, const fmt_chunk *c)
     return size;
 }
 
+size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk)
+{
+    SVO_ASSERT(packed->size >= sizeof *chunk);
+    size_t stored = packed->size - sizeof *chunk;
+    memcpy(chunk, packed->data + stored, sizeof *chunk);
+    return stored;
+}
+
 static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
 {
     fmt_svo_reader *r = user;
     fmt_chunk c;
-    SVO_ASSERT(packed->size >= sizeof c);
-    size_t stored = packed->size - sizeof c;
-    memcpy(&c, packed->data + stored, sizeof c);
+    size_t stored = fmti_svo_packed(packed, &c);
     uint64_t at = c.offset - 64, size = unpacked_size(&r->info, &c);
     storage->size = 0;
     if (!svo_buffer_reserve(storage, (size_t)size + 1))

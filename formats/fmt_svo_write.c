@@ -55,6 +55,15 @@ svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, cons
     return SVO_OK;
 }
 
+svo_result fmt_svo_writer_shard(fmt_svo_writer *w, const fmt_svo_shard *shard, svo_error *err)
+{
+    uint8_t bytes[FMTI_SVO_SHARD_SIZE];
+    SVO_ASSERT(w->counts.chunks == 0 && shard->index >= 1 && shard->index <= shard->count && shard->first_code <= shard->end_code);
+    fmti_store_shard(shard, bytes);
+    fmt_chunk c = {.type = FMTI_SVO_SHRD, .stored_size = sizeof bytes, .decoded_size = sizeof bytes};
+    return fmt_writer_chunk(w->writer, &c, bytes, err);
+}
+
 /* Values of one channel to byte planes. */
 static void to_planes(const uint8_t *values, uint64_t count, uint32_t stride, uint8_t *planes)
 {
@@ -160,23 +169,25 @@ svo_chunk_sink fmt_svo_writer_sink(fmt_svo_writer *w)
     return s;
 }
 
-static svo_result finish(fmt_svo_writer *w, svo_error *err)
+svo_result fmti_svo_finish(fmt_writer *w, uint32_t depth, const svo_tree_counts *counts, const char *provenance, svo_error *err)
 {
     uint8_t stat[8 * (SVO_MAX_DEPTH + 2)];
-    uint64_t size = 8 * ((uint64_t)w->info.depth + 2);
-    fmt_store64(stat, w->counts.chunks);
-    for (uint32_t l = 0; l <= w->info.depth; l++) fmt_store64(stat + 8 + 8 * l, w->counts.nodes[l]);
+    uint64_t size = 8 * ((uint64_t)depth + 2);
+    fmt_store64(stat, counts->chunks);
+    for (uint32_t l = 0; l <= depth; l++) fmt_store64(stat + 8 + 8 * l, counts->nodes[l]);
     fmt_chunk c = {.type = FMTI_SVO_STAT, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
-    SVO_TRY(fmt_writer_chunk(w->writer, &c, stat, err));
-    SVO_TRY(fmt_writer_meta(w->writer, w->provenance, err));
-    fmt_writer *writer = w->writer;
-    w->writer = NULL;
-    return fmt_writer_end(writer, err);
+    svo_result r = fmt_writer_chunk(w, &c, stat, err);
+    if (r == SVO_OK) r = fmt_writer_meta(w, provenance, err);
+    if (r == SVO_OK) return fmt_writer_end(w, err);
+    fmt_writer_discard(w);
+    return r;
 }
 
 svo_result fmt_svo_writer_end(fmt_svo_writer *w, svo_tree_counts *counts, svo_error *err)
 {
-    svo_result r = finish(w, err);
+    fmt_writer *writer = w->writer;
+    w->writer = NULL;
+    svo_result r = fmti_svo_finish(writer, w->info.depth, &w->counts, w->provenance, err);
     if (r == SVO_OK && counts != NULL) *counts = w->counts;
     fmt_svo_writer_discard(w);
     return r;

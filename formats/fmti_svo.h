@@ -8,7 +8,9 @@
 #define FMTI_SVO_TREE FMT_FOURCC('T', 'R', 'E', 'E')
 #define FMTI_SVO_STAT FMT_FOURCC('S', 'T', 'A', 'T')
 
-enum { FMTI_SVO_HEAD_FIXED = 144, FMTI_SVO_CHANNEL_RECORD = 32, FMTI_SVO_HEAD_MAX = 144 + 32 * 16 };
+#define FMTI_SVO_SHRD FMT_FOURCC('S', 'H', 'R', 'D')
+
+enum { FMTI_SVO_SHARD_SIZE = 40, FMTI_SVO_HEAD_FIXED = 144, FMTI_SVO_CHANNEL_RECORD = 32, FMTI_SVO_HEAD_MAX = 144 + 32 * 16 };
 
 /* Channel record of 32 bytes, used by .svo and .svdag. Parsing checks SVO-04 but for equal names. */
 void fmti_store_channel(const svo_channel *c, uint8_t *bytes);
@@ -20,6 +22,15 @@ const char *fmti_check_info(const svo_tree_info *info);
 /* HEAD; to has FMTI_SVO_HEAD_MAX bytes. Returns its size. */
 size_t fmti_store_head(const svo_tree_info *info, uint8_t *to);
 svo_result fmti_parse_head(const fmt_chunk *chunk, const uint8_t *bytes, uint64_t size, svo_tree_info *info, svo_error *err);
+
+/* STAT, META (unless provenance is NULL or empty), table and footer. Frees the writer in any case. */
+svo_result fmti_svo_finish(fmt_writer *w, uint32_t depth, const svo_tree_counts *counts, const char *provenance, svo_error *err);
+
+/* SHRD; to has FMTI_SVO_SHARD_SIZE bytes. */
+void fmti_store_shard(const fmt_svo_shard *shard, uint8_t *to);
+svo_result fmti_parse_shard(const fmt_chunk *chunk, const uint8_t *bytes, uint64_t size, uint32_t depth, fmt_svo_shard *shard, svo_error *err);
+/* The description of the chunk in a buffer that a reader's fetch filled; returns how many stored bytes stand before it. */
+size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk);
 
 /* Bytes of all channels that are not constant, one voxel. */
 uint32_t fmti_voxel_bytes(const svo_tree_info *info);

@@ -48,6 +48,13 @@ static bool join(const import_context *c, const char *below, char path[IMPORT_PA
     return n > 0 && n < IMPORT_PATH_MAX;
 }
 
+svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err)
+{
+    SVO_TRY(fmt_bytes_open(path, c->max_file_bytes, c->allocator, out, err));
+    if (c->file_read != NULL) c->file_read(c->file_read_user, path, out->data, out->size);
+    return SVO_OK;
+}
+
 svo_result import_resolve(const import_context *c, const char *reference, char path[IMPORT_PATH_MAX], svo_error *err)
 {
     char clean[IMPORT_PATH_MAX];
@@ -184,7 +191,7 @@ svo_result import_image_find(import_images *images, const import_context *c, con
     } else {
         fmt_bytes bytes;
         svo_error why = {0};
-        svo_result r = fmt_bytes_open(path, c->max_file_bytes, c->allocator, &bytes, &why);
+        svo_result r = import_open(c, path, &bytes, &why);
         if (r == SVO_OK) {
             r = import_image_add(images, c, reference, bytes.data, bytes.size, &at, &why);
             fmt_bytes_close(&bytes);

@@ -19,6 +19,8 @@ typedef struct import_context {
     svo_warnings *warnings;
     uint64_t max_file_bytes, max_image_pixels;
     bool skip_images;
+    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size); /* may be NULL */
+    void *file_read_user;
 } import_context;
 
 /* --- files beside the model --- */
@@ -29,6 +31,9 @@ svo_result import_resolve(const import_context *c, const char *reference, char p
  * without regard to case, then its last component beside the model (also for references that leave the folder).
  * False when there is no such file; never a path outside the folder. */
 bool import_find(const import_context *c, const char *reference, char path[IMPORT_PATH_MAX]);
+
+/* fmt_bytes_open within the context's limits, and tell file_read. All importers open files with it alone. */
+svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err);
 
 /* --- images --- */
 typedef struct import_images {

@@ -308,7 +308,7 @@ static svo_result read_library(obj_file *f, mtl_set *materials, const char *name
     if (!*found) return SVO_OK;
     fmt_bytes bytes;
     svo_error why = {0};
-    svo_result r = fmt_bytes_open(path, c->max_file_bytes, c->allocator, &bytes, &why);
+    svo_result r = import_open(c, path, &bytes, &why);
     if (r == SVO_OUT_OF_MEMORY) return import_no_memory(err);
     if (r != SVO_OK) {
         svo_warn(c->warnings, "%s: material library '%.80s' could not be read: %.100s", c->path, name, why.message);

@@ -151,6 +151,7 @@ struct svo_bins {
     const svo_placement *p;
     svo_grid grid;
     uint32_t level;
+    uint64_t first, end; /* codes at `level` that are wanted */
     const svo_allocator *allocator;
     svo_record *records; /* or NULL: snapped again at each use */
     svo_buffer lists;    /* uint32_t triangle numbers of the nodes on the stack, bottom first */
@@ -220,6 +221,7 @@ svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t l
     b->p = p;
     b->grid = *g;
     b->level = level;
+    b->end = UINT64_MAX;
     b->allocator = a;
     svo_buffer_init(&b->lists, a);
     svo_buffer_init(&b->masks, a);
@@ -260,6 +262,13 @@ svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t l
     }
     *out = b;
     return SVO_OK;
+}
+
+void svo_bins_limit(svo_bins *b, uint64_t first, uint64_t end)
+{
+    b->first = first;
+    b->end = end;
+    if (first >= end || (b->level == 0 && first > 0)) b->height = 0;
 }
 
 void svo_bins_free(svo_bins *b)
@@ -316,6 +325,17 @@ static uint8_t octants(const int32_t q[3][3], const int32_t corner[3], int32_t s
     return mask;
 }
 
+/* Children of a node that hold wanted codes. */
+static uint8_t wanted(const svo_bins *b, node n)
+{
+    uint32_t shift = 3 * (b->level - n.level - 1), mask = 0;
+    for (uint32_t c = 0; c < 8; c++) {
+        uint64_t low = (n.code * 8 + c) << shift, high = low + ((uint64_t)1 << shift);
+        if (low < b->end && high > b->first) mask |= 1u << c;
+    }
+    return (uint8_t)mask;
+}
+
 /* Replace the list on top by the lists of its children, child 0 on top. */
 static bool split(svo_bins *b, node n)
 {
@@ -328,6 +348,7 @@ static bool split(svo_bins *b, node n)
     int32_t corner[3] = {(int32_t)x * 2 * size, (int32_t)y * 2 * size, (int32_t)z * 2 * size};
     const uint32_t *list = (const uint32_t *)(const void *)b->lists.data + n.begin;
     uint64_t children[8] = {0};
+    const uint8_t allowed = wanted(b, n);
     for (uint64_t i = 0; i < count; i++) {
         uint8_t mask;
         if (b->records != NULL) {
@@ -337,6 +358,7 @@ static bool split(svo_bins *b, node n)
             svo_bins_record(b, list[i], &r);
             mask = octants(r.q, corner, size);
         }
+        mask &= allowed;
         b->masks.data[i] = mask;
         for (uint32_t c = 0; c < 8; c++) children[c] += mask >> c & 1;
     }

@@ -55,6 +55,8 @@ typedef struct svo_bins_report {
 typedef struct svo_bins svo_bins;
 svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t level, uint64_t keep_bytes, uint32_t threads,
                            const svo_allocator *a, svo_bins **out, svo_bins_report *report, svo_error *err);
+/* Hand out only subtrees with first <= code < end, and spend nothing on the others. Before the first svo_bins_next. */
+void svo_bins_limit(svo_bins *b, uint64_t first, uint64_t end);
 /* Next subtree: its code, and its triangle numbers (uint32_t) in place of what `list` held. *more false at the end. */
 svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err);
 /* Snapped triangle by number; callable from any thread. */

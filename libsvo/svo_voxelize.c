@@ -470,6 +470,7 @@ static svo_result run_all(run *r, const svo_voxelize_options *o, uint32_t thread
     /* Half of what is allowed goes to snapped triangles; without room for them they are snapped again at every use. */
     uint64_t keep = o->memory == 0 ? UINT64_MAX : o->memory / 2;
     SVO_TRY(svo_bins_create(&r->placement, &r->grid, svo_chunk_level(r->info->depth), keep, threads, r->allocator, &r->bins, &bins, err));
+    if (o->has_range) svo_bins_limit(r->bins, o->first_code, o->end_code);
     report->skipped_not_finite = bins.skipped;
     report->degenerate = bins.degenerate;
     uint64_t corners = 3 * (report->triangles - bins.skipped);

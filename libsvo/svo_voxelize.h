@@ -25,6 +25,10 @@ typedef struct svo_voxelize_options {
     uint32_t channels; /* SVO_WANT_ bits, 0 = geometry only */
     uint32_t threads;  /* 0 = all */
     uint64_t memory;   /* bytes the call may hold besides the mesh, 0 = no limit; more is SVO_LIMIT */
+    /* When has_range: only chunks with first_code <= code < end_code, with the bytes that a whole run gives them. What the
+     * report says of triangles is of the whole mesh, what it says of voxels of the range. */
+    bool has_range;
+    uint64_t first_code, end_code;
     const svo_allocator *allocator;
     svo_warnings *warnings; /* may be NULL */
 } svo_voxelize_options;

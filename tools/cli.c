@@ -300,7 +300,7 @@ static bool check_words(parser *p)
         return false;
     }
     if (stdins > 1) return snprintf(p->problem, sizeof p->problem, "stdin (-) can be read once only"), false;
-    if (t->has_output && c->output == NULL) return snprintf(p->problem, sizeof p->problem, "no output given (-o OUT)"), false;
+    if (t->has_output && !t->output_optional && c->output == NULL) return snprintf(p->problem, sizeof p->problem, "no output given (-o OUT)"), false;
     if (c->report != NULL && c->output != NULL && same_file(c->report, c->output)) {
         p->no_report = true;
         return snprintf(p->problem, sizeof p->problem, "-o and --report name the same file"), false;

@@ -55,6 +55,7 @@ typedef struct cli_tool {
     const char *example; /* one or more command lines */
     int min_inputs, max_inputs; /* positional arguments; max -1 = any number */
     bool has_output;            /* takes -o OUT, which must then be given */
+    bool output_optional;       /* the tool itself checks whether -o is needed */
 } cli_tool;
 
 struct fmt_output;

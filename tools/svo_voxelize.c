@@ -6,8 +6,11 @@
 #include "cli.h"
 #include "fmt_import.h"
 #include "fmt_svo.h"
+#include "svo_shard.h"
 #include "svo_voxelize.h"
 #include "voxelize_join.h"
+#include "voxelize_shard.h"
+#include "voxelize_sources.h"
 
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const surfaces[] = {"conservative", "thin", NULL};
@@ -20,6 +23,9 @@ typedef struct tool_options {
     const char *attributes;
     uint64_t level; /* zstd's */
     uint32_t channels;
+    const char *shard, *depfile;
+    uint32_t shard_index, shard_count; /* 0 = not sharded */
+    bool key;
 } tool_options;
 
 /* "auto", "none" or a comma-separated list of channel names; false with the culprit in *bad. */
@@ -48,23 +54,22 @@ static bool parse_attributes(const char *text, uint32_t *out, char bad[40])
 }
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
-static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json_t *inputs, svo_error *err)
+static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
 {
     uint32_t count = (uint32_t)c->input_count, done = 0;
     svo_mesh *meshes = calloc(count, sizeof *meshes);
     if (meshes == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     svo_result r = SVO_OK;
     for (; r == SVO_OK && done < count; done++) {
-        fmt_bytes bytes;
-        char hash[33];
-        r = fmt_bytes_open(c->inputs[done], 0, a, &bytes, err);
-        if (r != SVO_OK) break;
-        fmt_hash_hex(bytes.data, bytes.size, hash);
-        fmt_bytes_close(&bytes);
-        json_array_append_new(inputs, cli_provenance_input(c->inputs[done], hash));
-        fmt_import_options o = {.allocator = a, .warnings = &c->warnings};
+        size_t first = read->count;
+        fmt_import_options o = {.allocator = a, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read};
         r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
+        if (r == SVO_OK && read->failed) {
+            svo_mesh_free(&meshes[done]);
+            r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+        }
         if (r != SVO_OK) break;
+        json_array_append_new(inputs, cli_provenance_input(c->inputs[done], read->list[first].hash));
     }
     if (r == SVO_OK && count == 1) {
         *out = meshes[0];
@@ -133,44 +138,101 @@ static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_
     cli_put_u64(e, "triangles_degenerate", v->degenerate);
 }
 
-static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh, json_t *inputs, svo_limit_allocator *limit, svo_error *err)
-{
-    svo_voxelize_options v = svo_default_voxelize_options();
-    v.depth = (uint32_t)o->depth;
-    v.voxel_size = o->has_size ? o->voxel_size : 0;
-    v.surface = (svo_surface)o->surface;
-    v.fill = (svo_fill)o->fill;
-    v.channels = o->channels;
-    v.threads = (uint32_t)c->threads;
-    v.allocator = &limit->base;
-    v.warnings = &c->warnings;
-    if (c->memory != 0) {
-        uint64_t used = svo_limit_in_use(limit);
-        if (used >= c->memory)
-            return svo_fail(err, SVO_LIMIT, "the mesh alone takes %llu MB, more than --memory allows", (unsigned long long)(used / 1000000));
-        v.memory = c->memory - used;
-    }
-    cli_phase(c, "plan");
+/* What is decided before the first voxel. */
+typedef struct job {
+    svo_voxelize_options options;
     svo_tree_info info;
-    SVO_TRY(svo_voxelize_plan(mesh, &v, &info, err));
+    char *provenance;
+    uint8_t key[16]; /* of the whole job, not of a shard */
+    svo_shard shard;
+} job;
+
+/* The provenance, and the key: a hash of it, of what else decides the bytes and of all files read. */
+static svo_result identify(cli *c, const tool_options *o, json_t *inputs, const sources *read, job *j, svo_error *err)
+{
     json_t *how = json_object();
     if (o->has_size) cli_put_f64(how, "voxel_size", o->voxel_size);
     else cli_put_u64(how, "depth", o->depth);
     cli_put_text(how, "surface", surfaces[o->surface]);
     cli_put_text(how, "fill", fills[o->fill]);
     cli_put_text(how, "attributes", o->attributes);
-    char *provenance = cli_provenance(c, how, json_incref(inputs));
-    if (provenance == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    j->provenance = cli_provenance(c, how, json_incref(inputs));
+    char *what = j->provenance != NULL ? malloc(strlen(j->provenance) + 64) : NULL;
+    if (what == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    sprintf(what, "%s\nformat 1.0 level %u", j->provenance, (unsigned)o->level);
+    svo_result r = sources_key(read, what, j->key, err);
+    free(what);
+    return r;
+}
+
+static svo_result print_key(const tool_options *o, const job *j, svo_error *err)
+{
+    uint8_t key[16], bytes[24];
+    memcpy(key, j->key, 16);
+    if (o->shard_count != 0) { /* the output of a shard is another one */
+        memcpy(bytes, j->key, 16);
+        fmt_store32(bytes + 16, o->shard_index);
+        fmt_store32(bytes + 20, o->shard_count);
+        sources none = {0};
+        char what[2 * sizeof bytes + 1];
+        for (size_t i = 0; i < sizeof bytes; i++) sprintf(what + 2 * i, "%02x", bytes[i]);
+        SVO_TRY(sources_key(&none, what, key, err));
+    }
+    for (int i = 0; i < 16; i++) printf("%02x", key[i]);
+    printf("\n");
+    return SVO_OK;
+}
+
+static svo_result plan(cli *c, const tool_options *o, const svo_mesh *mesh, svo_limit_allocator *limit, job *j, svo_error *err)
+{
+    svo_voxelize_options *v = &j->options;
+    *v = svo_default_voxelize_options();
+    v->depth = (uint32_t)o->depth;
+    v->voxel_size = o->has_size ? o->voxel_size : 0;
+    v->surface = (svo_surface)o->surface;
+    v->fill = (svo_fill)o->fill;
+    v->channels = o->channels;
+    v->threads = (uint32_t)c->threads;
+    v->allocator = &limit->base;
+    v->warnings = &c->warnings;
+    if (c->memory != 0) {
+        uint64_t used = svo_limit_in_use(limit);
+        if (used >= c->memory)
+            return svo_fail(err, SVO_LIMIT, "the mesh alone takes %llu MB, more than --memory allows", (unsigned long long)(used / 1000000));
+        v->memory = c->memory - used;
+    }
+    cli_phase(c, "plan");
+    SVO_TRY(svo_voxelize_plan(mesh, v, &j->info, err));
+    if (o->shard_count == 0) return SVO_OK;
+    SVO_TRY(svo_shard_plan(mesh, v, &j->info, o->shard_index, o->shard_count, &j->shard, err));
+    v->has_range = true;
+    v->first_code = j->shard.first_code;
+    v->end_code = j->shard.end_code;
+    json_t *s = cli_section(c, "shard");
+    cli_put_u64(s, "index", j->shard.index);
+    cli_put_u64(s, "count", j->shard.count);
+    cli_put_u64(s, "first_code", j->shard.first_code);
+    cli_put_u64(s, "end_code", j->shard.end_code);
+    cli_put_f64(s, "estimated_share", j->shard.share);
+    return SVO_OK;
+}
+
+static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh, const job *j, svo_limit_allocator *limit, svo_error *err)
+{
     fmt_output *out = NULL;
     fmt_svo_writer *writer = NULL;
     svo_result r = fmt_output_open(c->output, c->force, &out, err);
-    if (r == SVO_OK) r = fmt_svo_writer_begin(out, &info, provenance, (int)o->level, &limit->base, &writer, err);
-    free(provenance);
+    if (r == SVO_OK) r = fmt_svo_writer_begin(out, &j->info, j->provenance, (int)o->level, &limit->base, &writer, err);
+    if (r == SVO_OK && o->shard_count != 0) {
+        fmt_svo_shard shard = {j->shard.index, j->shard.count, j->shard.first_code, j->shard.end_code, {0}};
+        memcpy(shard.job, j->key, sizeof shard.job);
+        r = fmt_svo_writer_shard(writer, &shard, err);
+    }
     svo_voxelize_report report = {0};
     if (r == SVO_OK) {
         cli_phase(c, "voxelize");
         svo_chunk_sink sink = fmt_svo_writer_sink(writer);
-        r = svo_voxelize(mesh, &v, &info, &sink, &report, err);
+        r = svo_voxelize(mesh, &j->options, &j->info, &sink, &report, err);
     }
     uint64_t bytes = 0;
     if (r == SVO_OK) {
@@ -186,8 +248,8 @@ static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh
     fmt_svo_writer_discard(writer);
     fmt_output_discard(out);
     if (r != SVO_OK) return r;
-    report_output(c, &info, &report, bytes);
-    cli_verbose(c, "%llu voxels at depth %u, %llu bytes", (unsigned long long)report.counts.nodes[info.depth], info.depth, (unsigned long long)bytes);
+    report_output(c, &j->info, &report, bytes);
+    cli_verbose(c, "%llu voxels at depth %u, %llu bytes", (unsigned long long)report.counts.nodes[j->info.depth], j->info.depth, (unsigned long long)bytes);
     return SVO_OK;
 }
 
@@ -198,15 +260,26 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     svo_mesh mesh = {0};
+    sources read = {0};
+    job j = {0};
     json_t *inputs = json_array();
     cli_phase(c, "import");
     /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
-    svo_result r = import_all(c, &limit.base, &mesh, inputs, err);
+    svo_result r = import_all(c, &limit.base, &mesh, inputs, &read, err);
     if (r == SVO_OK) {
         report_input(c, &mesh);
-        r = write_tree(c, o, &mesh, inputs, &limit, err);
+        r = identify(c, o, inputs, &read, &j, err);
+        if (r == SVO_OK && o->key) {
+            r = print_key(o, &j, err);
+        } else {
+            if (r == SVO_OK) r = plan(c, o, &mesh, &limit, &j, err);
+            if (r == SVO_OK) r = write_tree(c, o, &mesh, &j, &limit, err);
+            if (r == SVO_OK && o->depfile != NULL) r = sources_depfile(&read, o->depfile, c->output, c->force, err);
+        }
         svo_mesh_free(&mesh);
     }
+    free(j.provenance);
+    sources_free(&read);
     json_decref(inputs);
     cli_phase(c, NULL);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) {
@@ -231,6 +304,12 @@ int main(int argc, char **argv)
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
          .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material."},
         {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level of the file (zstd)."},
+        {.name = "shard", .kind = CLI_TEXT, .value = &o.shard, .argument = "i/N", .no_default = true,
+         .help = "Make only part i of N (1..N) of the octree, to be joined by svo-merge; auto takes i and N from a Slurm job array."},
+        {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true,
+         .help = "Write a rule for Make or Ninja that names every file read."},
+        {.name = "key", .kind = CLI_FLAG, .value = &o.key,
+         .help = "Print a hash of all that decides the output (inputs, options, version) and make nothing."},
     };
     cli_tool tool = {
         .name = "svo-voxelize",
@@ -244,10 +323,16 @@ int main(int argc, char **argv)
         .min_inputs = 1,
         .max_inputs = -1,
         .has_output = true,
+        .output_optional = true,
     };
     cli c;
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
+    if (c.output == NULL && !o.key) return cli_usage(&c, "no output given (-o OUT)");
+    char why[200];
+    if (o.shard != NULL && !parse_shard(o.shard, &o.shard_index, &o.shard_count, why, sizeof why)) return cli_usage(&c, "--shard: %s", why);
+    if (o.depfile != NULL && !o.key && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
+    if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
     char bad[40];
     if (strstr(o.attributes, "bone") != NULL)

@@ -196,7 +196,7 @@ std::unique_ptr<gltf_bytes> gltf_fetch(const gltf_document &d, const std::string
     char path[IMPORT_PATH_MAX];
     svo_error err{};
     svo_check(import_resolve(d.context, decode_path(d, uri).c_str(), path, &err), err);
-    svo_check(fmt_bytes_open(path, d.context->max_file_bytes, d.context->allocator, &b->mapped, &err), err);
+    svo_check(import_open(d.context, path, &b->mapped, &err), err);
     b->data = b->mapped.data;
     b->size = b->mapped.size;
     return b;

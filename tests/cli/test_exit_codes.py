@@ -11,9 +11,10 @@ import subprocess
 import support
 from support import check, run, tool, tools
 
-TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare", "svo-skeleton", "svo-bench"]
-READS_OURS = ["svo-compress", "svo-render", "svo-dump", "svo-compare", "svo-skeleton"]
-WRITES = {"svo-voxelize": "o.svo", "svo-compress": "o.svdag", "svo-pack": "o.svscene", "svo-render": "o.png", "svo-skeleton": "o.skel"}
+TOOLS = ["svo-voxelize", "svo-compress", "svo-pack", "svo-render", "svo-dump", "svo-compare", "svo-skeleton", "svo-merge", "svo-bench"]
+READS_OURS = ["svo-compress", "svo-render", "svo-dump", "svo-compare", "svo-skeleton", "svo-merge"]
+WRITES = {"svo-voxelize": "o.svo", "svo-compress": "o.svdag", "svo-pack": "o.svscene", "svo-render": "o.png", "svo-skeleton": "o.skel",
+          "svo-merge": "m.svo"}
 
 SCENE = {"assets": [{"name": "a", "file": "cube.svdag"}], "instances": [{"asset": "a"}, {"asset": "a", "translation": [3, 0, 0]}]}
 
@@ -25,6 +26,8 @@ class Inputs:
         self.obj = support.cube_obj(folder / "cube.obj", color=(1, 0.5, 0))
         self.svo, self.svdag, self.scene, self.json = folder / "cube.svo", folder / "cube.svdag", folder / "cube.svscene", folder / "scene.json"
         run("svo-voxelize", self.obj, "-o", self.svo, "--depth", 4)
+        self.shard = folder / "shard.svo"
+        run("svo-voxelize", self.obj, "-o", self.shard, "--depth", 4, "--shard", "1/1")
         run("svo-compress", self.svo, "-o", self.svdag)
         self.json.write_text(json.dumps(SCENE))
         run("svo-pack", self.json, "-o", self.scene)
@@ -40,6 +43,7 @@ class Inputs:
             "svo-compare": [self.svo, self.svdag],
             "svo-skeleton": [self.obj, "--omega", "0.3"],
             "svo-bench": [self.obj, "--sweep", "depth", "--values", "2,3", "--repeat", 1],
+            "svo-merge": [self.shard],
         }[name]
         return args + (["-o", out] if out is not None else [])
 
@@ -157,7 +161,7 @@ def test_empty_input(folder):
 def test_damaged_files_of_ours(folder):
     inputs = Inputs(folder)
     damaged = folder / "damaged"
-    for good, readers in ((inputs.svo, READS_OURS), (inputs.svdag, ["svo-render", "svo-dump", "svo-compare"]), (inputs.scene, ["svo-render", "svo-dump", "svo-compare"])):
+    for good, readers in ((inputs.svo, READS_OURS), (inputs.shard, READS_OURS), (inputs.svdag, ["svo-render", "svo-dump", "svo-compare"]), (inputs.scene, ["svo-render", "svo-dump", "svo-compare"])):
         data = good.read_bytes()
         for name in readers:
             for change in ("cut", "flip"):

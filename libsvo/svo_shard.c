@@ -1,0 +1,141 @@
+#include "svo_shard.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svo_bin.h"
+#include "svo_morton.h"
+
+/* Cost of a triangle in a node, in voxels: measured, a triangle much smaller than a voxel takes as long as about 8 voxels. */
+enum { TRIANGLE_COST = 8, UNITS = 16 /* parts of a voxel that work is counted in */, NODES_PER_SHARD = 16, MAX_CORNERS = 9 };
+
+typedef struct weight {
+    uint64_t code, work;
+} weight;
+
+/* Keep the part of a polygon on one side of a plane across an axis; returns its corners, at most one more than before. */
+static uint32_t clip(double (*from)[3], uint32_t count, int axis, double plane, bool above, double (*to)[3])
+{
+    uint32_t n = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const double *p = from[i], *q = from[i + 1 < count ? i + 1 : 0];
+        double dp = above ? p[axis] - plane : plane - p[axis], dq = above ? q[axis] - plane : plane - q[axis];
+        if (dp >= 0) memcpy(to[n++], p, sizeof to[0]);
+        if ((dp > 0 && dq < 0) || (dp < 0 && dq > 0)) {
+            double t = dp / (dp - dq);
+            for (int k = 0; k < 3; k++) to[n][k] = p[k] + t * (q[k] - p[k]);
+            n++;
+        }
+    }
+    return n;
+}
+
+/* Work of one triangle inside a cube (low corner and size in lattice units of 1/256 voxel). */
+static uint64_t triangle_work(const svo_record *record, const int32_t corner[3], int32_t size)
+{
+    double a[MAX_CORNERS + 1][3], b[MAX_CORNERS + 1][3];
+    double(*polygon)[3] = a, (*other)[3] = b;
+    uint32_t count = 3;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) a[i][k] = ((double)record->q[i][k] - corner[k]) / 256;
+    const double high = size / 256.0;
+    for (int k = 0; k < 3; k++)
+        for (int side = 0; side < 2 && count != 0; side++) {
+            double plane = side == 0 ? 0 : high;
+            bool cut = false;
+            for (uint32_t i = 0; i < count; i++) cut |= side == 0 ? polygon[i][k] < 0 : polygon[i][k] > high;
+            if (!cut) continue;
+            count = clip(polygon, count, k, plane, side == 0, other);
+            double(*swap)[3] = polygon;
+            polygon = other;
+            other = swap;
+        }
+    double area[3] = {0};
+    for (uint32_t i = 2; i < count; i++)
+        for (int k = 0; k < 3; k++) {
+            int u = (k + 1) % 3, v = (k + 2) % 3;
+            area[k] += (polygon[i - 1][u] - polygon[0][u]) * (polygon[i][v] - polygon[0][v]) -
+                       (polygon[i - 1][v] - polygon[0][v]) * (polygon[i][u] - polygon[0][u]);
+        }
+    /* A plane with unit normal n meets |nx| + |ny| + |nz| voxels a unit of area. */
+    double voxels = (fabs(area[0]) + fabs(area[1]) + fabs(area[2])) / 2;
+    return (uint64_t)(voxels * UNITS + 0.5) + TRIANGLE_COST * UNITS;
+}
+
+static svo_result no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to plan the shards"); }
+
+/* weight[] of the non-empty nodes of a level, in order. */
+static svo_result weigh(svo_bins *bins, const svo_grid *grid, uint32_t level, svo_buffer *list, svo_buffer *weights, svo_error *err)
+{
+    int32_t size = (int32_t)1 << (grid->depth + 8 - level);
+    for (;;) {
+        weight w = {0};
+        bool more = false;
+        SVO_TRY(svo_bins_next(bins, &w.code, list, &more, err));
+        if (!more) return SVO_OK;
+        uint32_t x, y, z;
+        svo_morton_decode(w.code, &x, &y, &z);
+        int32_t corner[3] = {(int32_t)x * size, (int32_t)y * size, (int32_t)z * size};
+        const uint32_t *triangles = (const uint32_t *)(const void *)list->data;
+        for (uint64_t i = 0; i < list->size / 4; i++) {
+            svo_record record;
+            svo_bins_record(bins, triangles[i], &record);
+            w.work += triangle_work(&record, corner, size);
+        }
+        if (svo_buffer_append(weights, &w, sizeof w) == NULL) return no_memory(err);
+    }
+}
+
+/* Nodes belong to the shard in which the middle of their work falls. */
+static void cut(const svo_buffer *weights, uint32_t level, uint32_t chunk_level, svo_shard *s)
+{
+    const weight *w = (const weight *)(const void *)weights->data;
+    uint64_t count = weights->size / sizeof *w, total = 0, before = 0, mine = 0, last = (uint64_t)1 << 3 * chunk_level;
+    for (uint64_t i = 0; i < count; i++) total += w[i].work;
+    s->first_code = s->index == 1 ? 0 : last;
+    s->end_code = last;
+    for (uint64_t i = 0; i < count; i++) {
+        double middle = ((double)before + (double)w[i].work / 2) * s->count / (double)total;
+        uint32_t shard = middle < s->count - 1 ? (uint32_t)middle + 1 : s->count;
+        uint64_t code = w[i].code << 3 * (chunk_level - level);
+        if (shard >= s->index && code < s->first_code) s->first_code = code;
+        if (shard > s->index && code < s->end_code) s->end_code = code;
+        if (shard == s->index) mine += w[i].work;
+        before += w[i].work;
+    }
+    s->share = total != 0 ? (double)mine / (double)total : 0;
+}
+
+svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *options, const svo_tree_info *info, uint32_t index,
+                          uint32_t count, svo_shard *out, svo_error *err)
+{
+    if (count == 0 || count > SVO_MAX_SHARDS || index == 0 || index > count)
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "there is no shard %u of %u", index, count);
+    svo_limit_allocator limit;
+    svo_limit_allocator_init(&limit, options->memory != 0 ? options->memory : UINT64_MAX, options->allocator);
+    svo_grid grid = {.size = info->voxel_to_world[0], .depth = info->depth};
+    for (int i = 0; i < 3; i++) grid.origin[i] = info->voxel_to_world[4 * i + 3];
+    /* A surface has about 4^level nodes: the coarsest level with enough of them. */
+    uint32_t chunk_level = svo_chunk_level(info->depth), level = 0;
+    while (level < chunk_level && (uint64_t)1 << 2 * level < (uint64_t)NODES_PER_SHARD * count) level++;
+    svo_placement placement = {.mesh = mesh, .allocator = &limit.base};
+    svo_bins *bins = NULL;
+    svo_bins_report unused;
+    svo_buffer list, weights;
+    svo_buffer_init(&list, &limit.base);
+    svo_buffer_init(&weights, &limit.base);
+    svo_result r = svo_placement_create(mesh, &limit.base, &placement, err);
+    uint64_t keep = options->memory == 0 ? UINT64_MAX : options->memory / 2;
+    if (r == SVO_OK) r = svo_bins_create(&placement, &grid, level, keep, options->threads, &limit.base, &bins, &unused, err);
+    if (r == SVO_OK) r = weigh(bins, &grid, level, &list, &weights, err);
+    if (r == SVO_OK) {
+        svo_shard s = {.index = index, .count = count};
+        cut(&weights, level, chunk_level, &s);
+        *out = s;
+    }
+    svo_buffer_free(&list);
+    svo_buffer_free(&weights);
+    svo_bins_free(bins);
+    svo_placement_free(&placement);
+    return r;
+}

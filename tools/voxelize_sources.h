@@ -1,0 +1,29 @@
+/* The files that a run has read: for the provenance, the content key and depfiles. */
+#ifndef VOXELIZE_SOURCES_H
+#define VOXELIZE_SOURCES_H
+
+#include "svo_alloc.h"
+
+typedef struct source {
+    char *path; /* as opened */
+    char hash[33];
+} source;
+
+typedef struct sources {
+    source *list;
+    size_t count, capacity;
+    bool failed; /* out of memory; checked once, at the end */
+} sources;
+
+/* fmt_import_options.file_read with a sources as user. */
+void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size);
+void sources_free(sources *s);
+
+/* Hash of everything that decides the bytes of an output: `what` (options and versions as text) and the content and the
+ * last name of every file read. 16 bytes. */
+svo_result sources_key(const sources *s, const char *what, uint8_t key[16], svo_error *err);
+
+/* "target: file file ..." for Make and Ninja. Refuses to replace one of the files, or another file without force. */
+svo_result sources_depfile(const sources *s, const char *path, const char *target, bool force, svo_error *err);
+
+#endif
