@@ -57,10 +57,6 @@ bool svo_ray_blocked(const svo_view *view, const svo_ray *ray);
  * the level-of-detail rule and for tests. False if the node is not met by the ray's line. */
 bool svo_ray_node(const svo_view *view, const svo_ray *ray, uint32_t level, const uint32_t cell[3], double *enter, double *leave);
 
-/* Smallest box of finest voxels, as grid coordinates of corners; false for an empty octree. Visits only nodes that can
- * extend the box. */
-bool svo_view_bounds(const svo_view *view, uint32_t low[3], uint32_t high[3]);
-
 #ifdef __cplusplus
 }
 #endif

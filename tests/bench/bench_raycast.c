@@ -19,6 +19,7 @@
 #include "fmt_file.h"
 #include "fmt_svdag.h"
 #include "svo_render.h"
+#include "svo_scene.h"
 
 enum { SETS = 4, PRIMARY = 0, SHADOW = 1, DIFFUSE = 2, RANDOM = 3, MAX_FILES = 16, BATCH = 256 };
 static const char *set_names[SETS] = {"primary", "shadow", "diffuse", "random"};
@@ -74,7 +75,10 @@ static void make_rays(ray_lists *l, const svo_view *v)
     svo_mat4 m, inverse;
     memcpy(m.m, v->voxel_to_world, sizeof m.m);
     uint32_t grid_low[3], grid_high[3];
-    if (!svo_mat4_affine_inverse(&m, &inverse) || !svo_view_bounds(v, grid_low, grid_high)) fputs("the first file has no voxels\n", stderr), exit(1);
+    bool any;
+    if (!svo_mat4_affine_inverse(&m, &inverse) || svo_view_grid_bounds(v, NULL, &any, grid_low, grid_high, NULL) != SVO_OK || !any)
+        fputs("the first file has no voxels\n", stderr), exit(1);
+    for (int k = 0; k < 3; k++) grid_high[k]++; /* cells to corners */
     double low[3], high[3], radius = 0;
     for (int k = 0; k < 3; k++) low[k] = INFINITY, high[k] = -INFINITY;
     for (int i = 0; i < 8; i++) {

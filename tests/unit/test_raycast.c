@@ -273,8 +273,6 @@ TEST(empty_octree)
     svo_hit h;
     svo_raycast(v, &r, 1, &h);
     CHECK(!h.hit && !svo_ray_blocked(v, &r));
-    uint32_t low[3], high[3];
-    CHECK(!svo_view_bounds(v, low, high));
     packer_free(v);
 }
 
@@ -518,31 +516,4 @@ TEST(stops_are_the_first_small_nodes)
     for (int l = 3; l < 8; l++) CHECK(levels[l] > 10);
     packer_free(v);
     free_world(&w);
-}
-
-TEST(bounds_are_tight)
-{
-    uint64_t s = 2;
-    for (int i = 0; i < 200; i++) {
-        uint32_t depth = (uint32_t)(test_random(&s) % 9), low[3], high[3], want_low[3] = {~0u, ~0u, ~0u}, want_high[3] = {0};
-        world w = random_world(depth, 1 + test_random(&s) % 20, test_random(&s));
-        for (uint64_t c = 0; c < w.count; c++) {
-            uint32_t p[3];
-            svo_morton_decode(w.codes[c], &p[0], &p[1], &p[2]);
-            for (int k = 0; k < 3; k++) {
-                if (p[k] < want_low[k]) want_low[k] = p[k];
-                if (p[k] + 1 > want_high[k]) want_high[k] = p[k] + 1;
-            }
-        }
-        svo_view *v = packer_make(depth, w.codes, w.count, NULL);
-        CHECK(svo_view_bounds(v, low, high));
-        CHECK(memcmp(low, want_low, sizeof low) == 0 && memcmp(high, want_high, sizeof high) == 0);
-        packer_free(v);
-        free_world(&w);
-    }
-    svo_view *v = packer_solid(21, true);
-    uint32_t low[3], high[3];
-    CHECK(svo_view_bounds(v, low, high));
-    for (int k = 0; k < 3; k++) CHECK(low[k] == 0 && high[k] == 1u << 21);
-    packer_free(v);
 }
