@@ -33,11 +33,18 @@ static void next(off_reader *r)
     }
 }
 
+/* A comment may follow a token without a blank. */
+static const char *token_end(const char *p, const char *end)
+{
+    while (p < end && !import_space(*p) && *p != '#') p++;
+    return p;
+}
+
 static bool number(off_reader *r, double *v)
 {
     next(r);
     if (r->p == r->end) return false;
-    const char *q = import_double(r->p, r->end, v);
+    const char *q = import_double(r->p, token_end(r->p, r->end), v);
     if (q == NULL) return false;
     r->p = q;
     return true;
@@ -61,7 +68,7 @@ static int tokens_on_line(const off_reader *r)
     for (const char *p = r->p;;) {
         p = import_skip_blank(p, r->end);
         if (p == r->end || *p == '\n' || *p == '#') return n;
-        p = import_token_end(p, r->end);
+        p = token_end(p, r->end);
         n++;
     }
 }
@@ -96,7 +103,7 @@ static svo_result read_header(off_reader *r, uint64_t *vertices, uint64_t *faces
 
 static bool has_point(const char *p, const char *end)
 {
-    for (; p < end && !import_space(*p); p++)
+    for (end = token_end(p, end); p < end; p++)
         if (*p == '.' || *p == 'e' || *p == 'E') return true;
     return false;
 }
@@ -159,7 +166,7 @@ static svo_result read_face(off_reader *r, uint64_t vertices, svo_error *err)
         if (!read_color(r, extra, rgba)) return bad(r, "a face colour is not made of numbers", err);
     } else if (extra != 0) {
         svo_warn(r->c->warnings, "%s: colour map numbers of faces are not read", r->c->path);
-        for (int k = 0; k < extra; k++) r->p = import_token_end(import_skip_blank(r->p, r->end), r->end);
+        for (int k = 0; k < extra; k++) r->p = token_end(import_skip_blank(r->p, r->end), r->end);
     }
     if (n < 3) {
         r->soup.short_faces = true;

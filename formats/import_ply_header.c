@@ -169,6 +169,8 @@ svo_result ply_read_header(ply_reader *r, svo_error *err)
             SVO_TRY(read_format(r, rest, last, err));
         } else if ((rest = import_word(q, last, "element")) != NULL) SVO_TRY(read_element(r, rest, last, err));
         else if ((rest = import_word(q, last, "property")) != NULL) SVO_TRY(read_property(r, rest, last, err));
+        else if (r->element_count == 0) /* Blender 2.4x forgot the word "comment"; later a line may be a damaged property */
+            svo_warn(r->c->warnings, "%s: PLY header: a line that is not known is ignored", r->c->path);
         else return bad(r, "a line that is not known", err);
     }
     return bad(r, "no end_header", err);

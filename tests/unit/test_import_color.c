@@ -119,6 +119,41 @@ TEST(vertex_colors_are_srgb_in_obj_and_ply)
     svo_mesh_free(&m);
 }
 
+/* As a file of CGAL has it: blank lines, comments at the end of lines and right after a token, three components. */
+TEST(off_colors_and_comments)
+{
+    svo_mesh m;
+    if (!load(import_put_text("c.off", "# first\n# second\nCOFF\n3 1 0\n\n-1 -1 0 1 0.0 0.0 #red\n0 -1 0 0.0 0.0 1#blue\n\n1 0 0 1 1 0#\n3 0 1 2 0 1.0 0#green\n"), &m)) return;
+    const float *c = m.shapes[0].parts[0].colors;
+    CHECK_U64(svo_mesh_count(&m).triangles, 1);
+    CHECK_U64(warnings.count, 0);
+    CHECK(c != NULL && c[1] >= 0);
+    svo_mesh_free(&m);
+    if (!load(import_put_text("d.off", "OFF# one triangle\n3 1 0#\n0 0 0#\n1 0 0\n0 1 0#3 4\n3 0 1 2#\n"), &m)) return;
+    CHECK_U64(svo_mesh_count(&m).triangles, 1);
+    svo_mesh_free(&m);
+}
+
+/* Blender 2.47 wrote its name without the word "comment". Where a line may have been a property it stays an error. */
+TEST(ply_line_that_is_not_known)
+{
+    static const char body[] = "element vertex 3\nproperty float x\nproperty float y\nproperty float z\n%selement face 1\n"
+                               "property list uchar int vertex_index\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    char text[600], late[400];
+    snprintf(late, sizeof late, body, "");
+    snprintf(text, sizeof text, "ply\nformat ascii 1.0\nCreated by Blender3D 247 - www.blender.org, source file: \n%s", late);
+    svo_mesh m;
+    if (!load(import_put_text("b.ply", text), &m)) return;
+    CHECK_U64(svo_mesh_count(&m).triangles, 1);
+    CHECK_U64(warnings.count, 1);
+    svo_mesh_free(&m);
+    snprintf(late, sizeof late, body, "proberty float w\n");
+    snprintf(text, sizeof text, "ply\nformat ascii 1.0\n%s", late);
+    svo_error err = {0};
+    fmt_import_options o = {.warnings = &warnings};
+    CHECK(fmt_import_mesh(import_put_text("l.ply", text), &o, &m, &err) == SVO_INVALID_DATA);
+}
+
 TEST(ply_face_texture_coordinates)
 {
     CHECK(import_put_png("Quad Image.png", image, 2, 2));
