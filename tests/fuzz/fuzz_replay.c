@@ -1,5 +1,7 @@
 /* Runs files through a target without libFuzzer:  replay_TARGET FILE|FOLDER...
- * A file whose name begins with a verdict (ok-, invalid-, unsupported-, limit-, io-) must get it. */
+ * A file whose name begins with a verdict (ok-, invalid-, unsupported-, limit-, io-) must get it, and the message must
+ * name the rule that comes next in the name (invalid-dag-04...: DAG-04). */
+#include <ctype.h>
 #include <dirent.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -10,6 +12,18 @@
 
 static unsigned files, wrong;
 
+/* Does the message name the rule that the text begins with, if it does begin with one? */
+static bool names_rule(const char *text, const char *message)
+{
+    char rule[7] = {0};
+    for (int i = 0; i < 6; i++) {
+        bool fits = i < 3 ? islower((unsigned char)text[i]) : i == 3 ? text[i] == '-' : isdigit((unsigned char)text[i]);
+        if (!fits) return true;
+        rule[i] = (char)toupper((unsigned char)text[i]);
+    }
+    return strstr(message, rule) != NULL;
+}
+
 static void check_name(const char *path)
 {
     static const struct { const char *prefix; svo_result result; } names[] = {
@@ -18,11 +32,12 @@ static void check_name(const char *path)
     svo_error err;
     svo_result r = fuzz_verdict(&err);
     printf("%s: %s%s%s\n", path, svo_result_name(r), err.message[0] != '\0' ? ": " : "", err.message);
-    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
-        if (strncmp(name, names[i].prefix, strlen(names[i].prefix)) == 0 && names[i].result != r) {
-            printf("%s: expected %s\n", path, svo_result_name(names[i].result));
-            wrong++;
-        }
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+        size_t n = strlen(names[i].prefix);
+        if (strncmp(name, names[i].prefix, n) != 0 || (names[i].result == r && names_rule(name + n, err.message))) continue;
+        printf("%s: expected %s and the rule in its name\n", path, svo_result_name(names[i].result));
+        wrong++;
+    }
 }
 
 static bool replay(const char *path)
