@@ -4,6 +4,7 @@
 
 #include "../fuzz.h"
 #include "svo_raycast.h"
+#include "svo_scene.h"
 
 typedef struct view_use { const svo_view *view; uint32_t left; } view_use;
 
@@ -30,7 +31,10 @@ static inline void view_check(const svo_view *v)
     svo_view_voxels(v, view_visit, &u);
     if (!v->empty && u.left == 2000) fuzz_fail("no voxel in an octree that is not empty");
     uint32_t low[3], high[3];
-    if (svo_view_bounds(v, low, high) == v->empty) fuzz_fail("bounds and emptiness differ");
+    bool any;
+    svo_error err;
+    if (svo_view_grid_bounds(v, NULL, &any, low, high, &err) != SVO_OK) fuzz_fail("no bounds: %s", err.message);
+    if (any == v->empty) fuzz_fail("bounds and emptiness differ");
     double side = (double)((uint64_t)1 << v->depth);
     svo_ray rays[24];
     svo_hit hits[24];
