@@ -70,6 +70,21 @@ static import_reader *by_content(const uint8_t *bytes, uint64_t size)
     return NULL;
 }
 
+/* What no reader takes: a file of ours, whole or damaged, or something else. */
+static svo_result no_reader(const char *path, const uint8_t *bytes, uint64_t size, svo_error *err)
+{
+    static const char *const ours[] = {"svo", "svdag", "svscene", "skel"};
+    if (size == 0) return svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
+    if (starts(bytes, size, "\x89SVX\r\n\x1a\n")) {
+        if (size < 64) return svo_fail(err, SVO_INVALID_DATA, "%s: the file was cut off after %llu bytes", path, (unsigned long long)size);
+        return svo_fail(err, SVO_UNSUPPORTED, "%s: an svokit file, not a mesh (.gltf .glb .obj .ply .stl .off .drc)", path);
+    }
+    for (size_t i = 0; i < sizeof ours / sizeof *ours; i++)
+        if (strcasecmp(extension(path), ours[i]) == 0)
+            return svo_fail(err, SVO_INVALID_DATA, "%s: does not begin as a .%s file does; it is damaged or something else", path, ours[i]);
+    return svo_fail(err, SVO_UNSUPPORTED, "%s: not a mesh format that is known (.gltf .glb .obj .ply .stl .off .drc)", path);
+}
+
 static svo_result make_context(const char *path, const fmt_import_options *o, import_context *c, svo_error *err)
 {
     memset(c, 0, sizeof *c);
@@ -106,7 +121,7 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
     if (reader == NULL) reader = by_extension(path);
     if (reader == NULL && !empty && looks_like_obj((const char *)bytes.data, (const char *)bytes.data + bytes.size)) reader = import_obj;
     if (reader == NULL)
-        r = svo_fail(err, SVO_UNSUPPORTED, "%s: not a mesh format that is known (.gltf .glb .obj .ply .stl .off .drc)", path);
+        r = no_reader(path, bytes.data, bytes.size, err);
     else if (empty)
         r = svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
     else

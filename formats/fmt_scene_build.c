@@ -517,7 +517,10 @@ static svo_result load(fmt_scene_build *b, const char *path, svo_error *err)
     fmt_hash_hex(file.data, file.size, b->hash);
     content c = content_of(&file);
     svo_result result;
-    if (c == CONTENT_OURS) result = svo_fail(err, SVO_UNSUPPORTED, "this svokit file is no scene to pack: a description in JSON, a mesh, an .svo or an .svdag is");
+    if (file.size == 0) result = svo_fail(err, SVO_INVALID_DATA, "the file is empty");
+    else if (c == CONTENT_OTHER && has_extension(path, ".json"))
+        result = svo_fail(err, SVO_INVALID_DATA, "not a description of a scene: that is a JSON object, { \"assets\": [...], \"instances\": [...] }");
+    else if (c == CONTENT_OURS) result = svo_fail(err, SVO_UNSUPPORTED, "this svokit file is no scene to pack: a description in JSON, a mesh, an .svo or an .svdag is");
     else if (c == CONTENT_JSON && !has_extension(path, ".gltf")) result = load_description(b, path, &file, err);
     else if (strcmp(path, "-") == 0) result = svo_fail(err, SVO_UNSUPPORTED, "only a description in JSON can come from stdin");
     else if (c == CONTENT_SVO || c == CONTENT_SVDAG) result = load_octree(b, path, err);

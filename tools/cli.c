@@ -52,6 +52,17 @@ static void say(const cli *c, const char *format, va_list args)
     cli_say(c, "", text);
 }
 
+svo_result cli_about(const char *path, svo_result r, svo_error *err)
+{
+    if (r == SVO_OK || err == NULL) return r;
+    const char *name = strcmp(path, "-") == 0 ? "stdin" : path;
+    if (strstr(err->message, name) != NULL) return r;
+    svo_error inner = *err;
+    svo_fail(err, r, "%.100s: %s", name, inner.message);
+    err->chunk = inner.chunk, err->offset = inner.offset, err->index = inner.index;
+    return r;
+}
+
 void cli_info(const cli *c, const char *format, ...)
 {
     if (c->quiet) return;

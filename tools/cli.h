@@ -82,6 +82,9 @@ typedef struct cli {
     bool progress_shown;
 } cli;
 
+/* Put the input's name before the message of a failure, unless it is there. Returns r. */
+svo_result cli_about(const char *path, svo_result r, svo_error *err);
+
 /* Parse, ignore SIGPIPE, open the report. Returns -1 to go on, otherwise the exit code to leave with: 0 after --help
  * and --version, 1 after a usage error, 2 when the report cannot be written; what is wrong has been printed and
  * nothing needs freeing. An output or report that is one of the inputs (also through a link) is a usage error. */

@@ -19,13 +19,19 @@ typedef struct octree {
     uint64_t known_voxels; /* from the header of a .svdag, else 0 */
 } octree;
 
-static svo_result name_file(const compare_input *in, svo_result r, svo_error *err)
+/* The source of a file, with its name in the messages: both are read at once. */
+typedef struct named_source { svo_chunk_source inner; const char *path; } named_source;
+
+static svo_result named_fetch(void *user, svo_buffer *packed, bool *more, svo_error *err)
 {
-    if (r == SVO_OK || err == NULL || strstr(err->message, in->path) != NULL) return r;
-    svo_error inner = *err;
-    svo_fail(err, r, "%s: %s", strcmp(in->path, "-") == 0 ? "stdin" : in->path, inner.message);
-    err->chunk = inner.chunk, err->offset = inner.offset, err->index = inner.index;
-    return r;
+    named_source *s = user;
+    return cli_about(s->path, s->inner.fetch(s->inner.user, packed, more, err), err);
+}
+
+static svo_result named_decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
+{
+    named_source *s = user;
+    return cli_about(s->path, s->inner.decode(s->inner.user, packed, storage, out, err), err);
 }
 
 static svo_result open_octree(compare_job *j, compare_input *in, octree *t, svo_error *err)
@@ -161,7 +167,7 @@ svo_result compare_octrees(compare_job *j, svo_error *err)
     svo_result r = SVO_OK;
     uint64_t known = 0;
     for (int i = 0; i < 2 && r == SVO_OK; i++) {
-        r = name_file(&j->in[i], open_octree(j, &j->in[i], &t[i], err), err);
+        r = cli_about(j->in[i].path, open_octree(j, &j->in[i], &t[i], err), err);
         known = known + t[i].known_voxels < known ? UINT64_MAX : known + t[i].known_voxels;
     }
     /* A small packed file can describe more voxels than can ever be read: refuse before beginning. */
@@ -172,7 +178,13 @@ svo_result compare_octrees(compare_job *j, svo_error *err)
         progress p = {j->c, t[0].known_voxels != 0 ? 2 * t[0].known_voxels : 2 * t[1].known_voxels};
         svo_compare_options options = {.max_voxels = j->tolerance.max_voxels, .allocator = j->allocator, .progress = show_progress, .user = &p};
         svo_compare_result result;
-        r = svo_compare_trees(&t[0].info, &t[0].source, &t[1].info, &t[1].source, &options, &result, err);
+        named_source named[2];
+        svo_chunk_source source[2];
+        for (int i = 0; i < 2; i++) {
+            named[i] = (named_source){t[i].source, j->in[i].path};
+            source[i] = (svo_chunk_source){&named[i], named_fetch, named_decode};
+        }
+        r = svo_compare_trees(&t[0].info, &source[0], &t[1].info, &source[1], &options, &result, err);
         if (r == SVO_OK) put_result(j, t, &result);
     }
     for (int i = 0; i < 2; i++) close_octree(&t[i]);

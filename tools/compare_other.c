@@ -104,11 +104,7 @@ svo_result compare_containers(compare_job *j, svo_error *err)
         r = compare_load(in, j->c, j->allocator, err);
         if (r == SVO_OK) r = fmt_container_open(in->bytes.data, in->bytes.size, j->allocator, &c[i], err);
         if (r == SVO_OK) r = validate(j, in, &skeleton[i], err);
-        if (r != SVO_OK && err != NULL && strstr(err->message, in->path) == NULL) {
-            svo_error inner = *err;
-            svo_fail(err, r, "%s: %s", in->path, inner.message);
-            err->chunk = inner.chunk, err->offset = inner.offset, err->index = inner.index;
-        }
+        r = cli_about(in->path, r, err);
     }
     if (r == SVO_OK) compare_chunks(j, &c[0], &c[1]);
     if (r == SVO_OK && j->in[0].kind == FMT_KIND_SKEL) compare_skeletons(j, &skeleton[0], &skeleton[1]);

@@ -77,7 +77,7 @@ static svo_result read_and_build(run *r, svo_error *err)
     r->bytes_in = fmt_input_offset(in);
     fmt_svo_reader_close(reader);
     fmt_input_close(in);
-    return result;
+    return cli_about(r->c->inputs[0], result, err);
 }
 
 /* --- report ------------------------------------------------------------------------------------------------------ */

@@ -279,7 +279,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_allocator *a, svo
     SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
 
     cli_phase(c, "open");
-    if ((r = open_input(&in, c, a, err)) != SVO_OK) goto done;
+    if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
     cli_phase(c, "hierarchy");
     if ((r = svo_bvh_build(in.scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
     report_input(c, &in, &b);

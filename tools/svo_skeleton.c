@@ -250,7 +250,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     svo_result r = open_all(c, o, &out, err);
     if (r == SVO_OK) {
         cli_phase(c, "import");
-        r = build(c, &options, &s, inputs, err);
+        r = cli_about(c->inputs[0], build(c, &options, &s, inputs, err), err);
     }
     if (r == SVO_OK) {
         json_t *how = json_object();

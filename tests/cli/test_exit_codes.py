@@ -152,10 +152,14 @@ def test_empty_input(folder):
         out = new_output(folder, name)
         empty = folder / ("empty" + inputs.good(name)[0].suffix)
         empty.write_bytes(b"")
-        # svo-pack also takes meshes, and an empty file is none of a known format
-        r = tool(name, *inputs.replaced(name, empty, out))
-        check(r.code == 3 or (name == "svo-pack" and r.code == 5), r)
-        check(not out or not out.exists(), r)
+        r = fails(name, inputs.replaced(name, empty, out), 3, folder)
+        check(empty.name in r.err, r)
+    for name, suffix, data in (("svo-pack", ".svo", b""), ("svo-pack", ".svdag", b"\x89SVX"), ("svo-pack", ".svo", b"\x89SVX\r\n\x1a\n" + b"\0" * 9),
+                               ("svo-pack", ".json", b"\xff"), ("svo-pack", ".json", b"[]"), ("svo-skeleton", ".svo", b""), ("svo-skeleton", ".svo", b"\x89SVX")):
+        short = folder / ("short" + suffix)
+        short.write_bytes(data)
+        r = fails(name, inputs.replaced(name, short, new_output(folder, name)), 3, folder)
+        check(short.name in r.err, r)
 
 
 def test_damaged_files_of_ours(folder):
@@ -178,6 +182,7 @@ def test_damaged_files_of_ours(folder):
                         args += ["--validate"]
                     r = tool(name, *args)
                     check(r.code in (3, 5), "%s %s at %d of %s: %s" % (change, at, len(data), good.name, r))
+                    check("damaged: " in r.err or str(damaged) in r.err, "the message names the file: %s" % r)
                     check(not out or not out.exists(), r)
 
 
