@@ -35,9 +35,8 @@ extern const bench_column_info bench_columns[COL_COUNT];
 /* The pair that a sweep is about, for the plot and the Pareto front. */
 typedef struct bench_axes {
     bench_column seconds, bytes, error, error_max;
-    const char *error_title, *seconds_title, *bytes_title, *max_note;
+    const char *error_title, *work_title, *bytes_title, *max_note;
 } bench_axes;
-const bench_axes *bench_axes_of(bench_sweep sweep);
 extern const char *const bench_sweep_names[];
 
 typedef enum bench_value_kind { VALUE_NUMBER, VALUE_BOUND, VALUE_LOSSLESS } bench_value_kind;
@@ -65,6 +64,7 @@ typedef struct bench {
     bench_sweep sweep;
     uint64_t depth, repeat;
     int attributes; /* of the sweep of depth: 0 automatic, 1 none */
+    bool cpu;       /* the plot and the front take user time in place of wall time */
     uint32_t value_count;
     bench_value values[BENCH_MAX_VALUES];
     uint32_t model_count;
@@ -72,6 +72,8 @@ typedef struct bench {
     bench_row *rows; /* model_count * value_count, model by model */
     char *command;   /* as given, UTF-8 */
 } bench;
+
+bench_axes bench_axes_of(const bench *b);
 
 static inline bench_row *bench_row_at(const bench *b, uint32_t model, uint32_t value)
 {

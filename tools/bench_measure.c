@@ -384,13 +384,13 @@ static bool dominated(const bench *b, uint32_t model, const bench_row *row, benc
 
 void bench_mark_fronts(bench *b)
 {
-    const bench_axes *axes = bench_axes_of(b->sweep);
+    const bench_axes axes = bench_axes_of(b);
     for (uint32_t m = 0; m < b->model_count; m++) {
         for (uint32_t i = 0; i < b->value_count; i++) {
             bench_row *row = bench_row_at(b, m, i);
-            bool measured = row->result == SVO_OK && isfinite(row->value[axes->error]);
-            row->front_seconds = measured && !dominated(b, m, row, axes->seconds, axes->error);
-            row->front_bytes = measured && !dominated(b, m, row, axes->bytes, axes->error);
+            bool measured = row->result == SVO_OK && isfinite(row->value[axes.error]);
+            row->front_seconds = measured && !dominated(b, m, row, axes.seconds, axes.error);
+            row->front_bytes = measured && !dominated(b, m, row, axes.bytes, axes.error);
         }
     }
 }

@@ -36,7 +36,7 @@ typedef struct panel {
     bool front_is_bytes;
     double left, top;
     axis x, y;
-    const char *x_title;
+    char x_title[80];
     box taken[3 * MAX_LABELLED];
     uint32_t taken_count;
 } panel;
@@ -374,11 +374,11 @@ static double draw_legend(const bench *b, bench_text *out, double y)
 
 static void draw_notes(const bench *b, bench_text *out, double y, bool edge)
 {
-    const bench_axes *axes = bench_axes_of(b->sweep);
+    const bench_axes axes = bench_axes_of(b);
     uint64_t failed = 0;
     for (uint64_t i = 0; i < (uint64_t)b->model_count * b->value_count; i++) failed += b->rows[i].result != SVO_OK;
     bench_text_add(out, "<text x=\"20\" y=\"%.1f\" class=\"note\">Filled: on the model's Pareto front (wide pale stairs); white: another point is better in both. Dotted line: %s.%s", y,
-                   axes->max_note, edge ? " Broken outline at the edge: 0." : "");
+                   axes.max_note, edge ? " Broken outline at the edge: 0." : "");
     if (failed > 0) bench_text_add(out, " %llu failed point%s not shown.", (unsigned long long)failed, failed == 1 ? "" : "s");
     bench_text_add(out, "</text>\n<text x=\"20\" y=\"%.1f\" class=\"note\">svo-bench %s, ", y + 16, SVO_VERSION_STRING);
     json_t *host = bench_host(b->c);
@@ -393,7 +393,7 @@ static void draw_notes(const bench *b, bench_text *out, double y, bool edge)
 
 void bench_write_svg(const bench *b, bench_text *out)
 {
-    const bench_axes *axes = bench_axes_of(b->sweep);
+    const bench_axes axes = bench_axes_of(b);
     bench_text body = {0};
     bench_text_add(&body, "<text x=\"20\" y=\"28\" class=\"title\">Error against run time and bytes: %s</text>\n", bench_sweep_names[b->sweep]);
     double top = 50 + draw_command(b, &body, 48) + 8;
@@ -405,9 +405,11 @@ void bench_write_svg(const bench *b, bench_text *out)
     }
     bool edge = false;
     for (int i = 0; i < 2; i++) {
-        *p = (panel){.b = b, .out = &body, .cost = i == 0 ? axes->seconds : axes->bytes, .error = axes->error, .error_max = axes->error_max,
-                     .front_is_bytes = i == 1, .left = i == 0 ? FIRST_LEFT : SECOND_LEFT, .top = top, .x_title = i == 0 ? axes->seconds_title : axes->bytes_title};
-        draw_panel(p, axes->error_title);
+        *p = (panel){.b = b, .out = &body, .cost = i == 0 ? axes.seconds : axes.bytes, .error = axes.error, .error_max = axes.error_max,
+                     .front_is_bytes = i == 1, .left = i == 0 ? FIRST_LEFT : SECOND_LEFT, .top = top};
+        if (i == 0) snprintf(p->x_title, sizeof p->x_title, "%s, %s", axes.work_title, b->cpu ? "user time of all threads" : "wall time");
+        else snprintf(p->x_title, sizeof p->x_title, "%s", axes.bytes_title);
+        draw_panel(p, axes.error_title);
         edge |= p->x.edge || p->y.edge;
     }
     free(p);

@@ -6,13 +6,14 @@
 
 #include "bench.h"
 
+static const char *const clocks[] = {"wall", "cpu", NULL};
 static const char *const attribute_names[] = {"auto", "none", NULL};
 
 enum { MAX_LIST_BYTES = 16 << 20 };
 
 typedef struct tool_options {
     uint64_t depth, repeat;
-    int sweep, attributes;
+    int sweep, attributes, clock;
     bool has_sweep, has_depth, has_attributes;
     const char *values, *list;
     const char *csv, *json, *svg;
@@ -291,6 +292,8 @@ int main(int argc, char **argv)
         {.name = "attributes", .kind = CLI_CHOICE, .value = &o.attributes, .choices = attribute_names, .argument = "HOW", .seen = &o.has_attributes,
          .help = "Attributes in the sweep of depth, as in svo-voxelize: auto, or none for geometry alone."},
         {.name = "repeat", .kind = CLI_U64, .value = &o.repeat, .argument = "N", .min = 1, .max = BENCH_MAX_REPEAT, .help = "Runs of each point; times are medians."},
+        {.name = "clock", .kind = CLI_CHOICE, .value = &o.clock, .choices = clocks, .argument = "WHICH",
+         .help = "Time in the plot and for the Pareto front: wall, or cpu, the user time of all threads, which other work on the machine changes less."},
         {.name = "list", .kind = CLI_TEXT, .value = &o.list, .argument = "FILE", .no_default = true,
          .help = "More meshes, one a line, looked for beside FILE; lines that begin with # do not count."},
         {.name = "csv", .kind = CLI_TEXT, .value = &o.csv, .argument = "OUT.csv", .no_default = true, .group = "Output", .help = "Write a row for each point."},
@@ -316,7 +319,7 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     document docs[3] = {{.path = o.csv}, {.path = o.json}, {.path = o.svg}};
-    bench b = {.c = &c, .sweep = (bench_sweep)o.sweep, .depth = o.depth, .repeat = o.repeat, .attributes = o.attributes};
+    bench b = {.c = &c, .sweep = (bench_sweep)o.sweep, .depth = o.depth, .repeat = o.repeat, .attributes = o.attributes, .cpu = o.clock == 1};
     svo_error err = {0};
     svo_result r = SVO_OK;
     char why[300];
