@@ -77,7 +77,7 @@ static svo_result no_reader(const char *path, const uint8_t *bytes, uint64_t siz
     if (size == 0) return svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
     if (starts(bytes, size, "\x89SVX\r\n\x1a\n")) {
         if (size < 64) return svo_fail(err, SVO_INVALID_DATA, "%s: the file was cut off after %llu bytes", path, (unsigned long long)size);
-        return svo_fail(err, SVO_UNSUPPORTED, "%s: an svokit file, not a mesh (.gltf .glb .obj .ply .stl .off .drc)", path);
+        return svo_fail(err, SVO_UNSUPPORTED, "%s: a svokit file, not a mesh (.gltf .glb .obj .ply .stl .off .drc)", path);
     }
     for (size_t i = 0; i < sizeof ours / sizeof *ours; i++)
         if (strcasecmp(extension(path), ours[i]) == 0)
