@@ -1,12 +1,14 @@
 # `cmake --install`: tools, libraries, headers, a CMake package (find_package(svokit)) and pkg-config files.
 include(CMakePackageConfigHelpers)
 
-# svo_install(target prefix): the library, and its public headers, which are those whose names begin with the prefix.
+# svo_install(target prefix [internal header]...): the library, and its public headers, which are those whose names begin
+# with the prefix, without the internal ones.
 function(svo_install target prefix)
   target_include_directories(${target} PUBLIC $<BUILD_INTERFACE:${CMAKE_CURRENT_SOURCE_DIR}>
                                               $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}/svokit>)
   file(GLOB headers CONFIGURE_DEPENDS ${prefix}*.h)
-  set_property(GLOBAL APPEND PROPERTY SVO_PUBLIC_HEADERS ${headers})
+  list(TRANSFORM ARGN PREPEND ${CMAKE_CURRENT_SOURCE_DIR}/ OUTPUT_VARIABLE internal)
+  list(REMOVE_ITEM headers ${internal} "")
   install(TARGETS ${target} EXPORT svokit-targets ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR})
   install(FILES ${headers} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/svokit)
 endfunction()

@@ -10,6 +10,13 @@
 const uint8_t fmti_signature[8] = {0x89, 'S', 'V', 'X', 0x0d, 0x0a, 0x1a, 0x0a};
 const uint8_t fmti_end_mark[8] = {0x89, 'S', 'V', 'X', 'E', 'N', 'D', 0x0a};
 
+uint32_t fmt_container_kind(const uint8_t *data, uint64_t size)
+{
+    if (size < sizeof fmti_signature || memcmp(data, fmti_signature, sizeof fmti_signature) != 0) return 0;
+    uint32_t kind = size >= 20 ? fmt_load32(data + 16) : 0;
+    return kind != 0 ? kind : UINT32_MAX;
+}
+
 void fmt_fourcc_text(uint32_t type, char out[5])
 {
     for (int i = 0; i < 4; i++) {

@@ -17,6 +17,10 @@ typedef enum fmt_kind {
     FMT_KIND_SCENE = FMT_FOURCC('S', 'C', 'N', 'E')
 } fmt_kind;
 
+/* The kind that the first bytes of a file (20 are enough) claim: a fmt_kind or a number that is none of them, such as
+ * UINT32_MAX where the file ends before it. 0 when they are not those of a container: no mesh or image begins as ours do. */
+uint32_t fmt_container_kind(const uint8_t *data, uint64_t size);
+
 enum {
     FMT_CHUNK_CRITICAL = 1,     /* a reader that does not know the type must refuse the file */
     FMT_CODEC_NONE = 0,

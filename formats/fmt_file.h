@@ -61,11 +61,11 @@ svo_result fmt_input_open_memory(const void *bytes, uint64_t size, fmt_input **o
 /* Read up to size bytes; *got < size only at the end. */
 svo_result fmt_input_read(fmt_input *in, void *to, size_t size, size_t *got, svo_error *err);
 uint64_t fmt_input_offset(const fmt_input *in);
-/* For messages: the path, "stdin" or "memory". */
-const char *fmt_input_name(const fmt_input *in);
 void fmt_input_close(fmt_input *in);
 
-/* 16-byte XXH3-128 of bytes, as 32 lower-case hex digits and a NUL. */
+/* A 16-byte hash as 32 lower-case hex digits and a NUL. */
+void fmt_hash_text(const uint8_t hash[16], char out[33]);
+/* The XXH3-128 of bytes, as such a text. */
 void fmt_hash_hex(const void *bytes, uint64_t size, char out[33]);
 
 #ifdef __cplusplus

@@ -241,7 +241,6 @@ svo_result fmt_input_read(fmt_input *in, void *to, size_t size, size_t *got, svo
 }
 
 uint64_t fmt_input_offset(const fmt_input *in) { return in->offset; }
-const char *fmt_input_name(const fmt_input *in) { return in->name; }
 
 void fmt_input_close(fmt_input *in)
 {
@@ -250,13 +249,19 @@ void fmt_input_close(fmt_input *in)
     svo_free(NULL, in, 1, sizeof *in);
 }
 
+void fmt_hash_text(const uint8_t hash[16], char out[33])
+{
+    static const char digits[] = "0123456789abcdef";
+    for (int i = 0; i < 16; i++) {
+        out[2 * i] = digits[hash[i] >> 4];
+        out[2 * i + 1] = digits[hash[i] & 15];
+    }
+    out[32] = 0;
+}
+
 void fmt_hash_hex(const void *bytes, uint64_t size, char out[33])
 {
     XXH128_canonical_t c;
     XXH128_canonicalFromHash(&c, XXH3_128bits(size != 0 ? bytes : "", (size_t)size));
-    for (int i = 0; i < 16; i++) {
-        out[2 * i] = "0123456789abcdef"[c.digest[i] >> 4];
-        out[2 * i + 1] = "0123456789abcdef"[c.digest[i] & 15];
-    }
-    out[32] = 0;
+    fmt_hash_text(c.digest, out);
 }

@@ -123,11 +123,8 @@ typedef enum content { CONTENT_OTHER, CONTENT_JSON, CONTENT_SVO, CONTENT_SVDAG, 
 
 static content content_of(const fmt_bytes *f)
 {
-    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', '\r', '\n', 0x1a, '\n'};
-    if (f->size >= 64 && memcmp(f->data, signature, 8) == 0) {
-        uint32_t kind = fmt_load32(f->data + 16);
-        return kind == FMT_KIND_SVO ? CONTENT_SVO : kind == FMT_KIND_SVDAG ? CONTENT_SVDAG : CONTENT_OURS;
-    }
+    uint32_t kind = fmt_container_kind(f->data, f->size);
+    if (kind != 0) return kind == FMT_KIND_SVO ? CONTENT_SVO : kind == FMT_KIND_SVDAG ? CONTENT_SVDAG : CONTENT_OURS;
     uint64_t i = f->size >= 3 && memcmp(f->data, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
     while (i < f->size && isspace(f->data[i])) i++;
     return i < f->size && f->data[i] == '{' ? CONTENT_JSON : CONTENT_OTHER;

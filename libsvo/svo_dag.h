@@ -9,7 +9,7 @@ extern "C" {
 #endif
 
 /* How values of a channel are reduced. All zero: lossless. Colours: a table of 2^bits entries clustered in CIELAB
- * (seed 2.4.3); normals: octahedral with bits in all. With a bound instead of bits, every attribute (inner nodes too)
+ * (Dado et al. 2016, section 2.4.3); normals: octahedral with bits in all. With a bound instead of bits, every attribute (inner nodes too)
  * is within it. Other kinds are always lossless. */
 typedef struct svo_dag_options {
     bool lod;              /* give inner nodes the averages of what is below */

@@ -10,7 +10,7 @@
  * Identical subtrees are stored once. A reference goes to the next level only, so there are no cycles.
  * An octree of depth < 2 lies in the low corner of a tree of depth 2; the levels above its root are virtual.
  *
- * Attributes are numbered by the stored depth-first order (seed: Dado et al. 2016, section 2.4.1). With lod, every
+ * Attributes are numbered by the stored depth-first order (Dado et al. 2016, section 2.4.1). With lod, every
  * node counts: a node at index i has its first child at i + 1. Without, only finest voxels count and the first child
  * is at i. The offset of a later child is its index minus its parent's. Inside a brick the same rule holds (brick,
  * octant, voxels) and the offsets follow from bit counts: svo_brick_octant, svo_brick_voxel. */

@@ -39,11 +39,7 @@ void dump_container(dump_job *j, const fmt_container *c)
     cli_put_text(j->json, "format", kind_text(c->kind));
     json_object_set_new(j->json, "version", json_sprintf("%u.%u", c->major, c->minor));
     cli_put_u64(j->json, "bytes", c->size);
-    for (int i = 0; i < 16; i++) {
-        hex[2 * i] = "0123456789abcdef"[c->content_hash[i] >> 4];
-        hex[2 * i + 1] = "0123456789abcdef"[c->content_hash[i] & 15];
-    }
-    hex[32] = 0;
+    fmt_hash_text(c->content_hash, hex);
     cli_put_text(j->json, "content_hash", hex);
 }
 

@@ -91,9 +91,8 @@ static svo_result recognise(compare_input *in, const cli *c, const svo_allocator
         fmt_input_close(file);
         if (r != SVO_OK) return r;
     }
-    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', '\r', '\n', 0x1a, '\n'};
-    in->image = got < 20 || memcmp(head, signature, sizeof signature) != 0;
-    if (!in->image) in->kind = (fmt_kind)fmt_load32(head + 16);
+    in->kind = (fmt_kind)fmt_container_kind(head, got);
+    in->image = in->kind == 0;
     return SVO_OK;
 }
 

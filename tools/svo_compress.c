@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "cli.h"
+#include "cli_quality.h"
 #include "fmt_svdag.h"
 #include "fmt_svo.h"
 #include "svo_dag.h"
@@ -27,23 +27,6 @@ typedef struct run {
     uint64_t bytes_in, bytes_out;
 } run;
 
-/* "lossless", BITS, or "<key>=X". */
-static bool parse_quality(const char *text, const char *key, uint32_t min_bits, uint32_t max_bits, uint32_t *bits, double *bound)
-{
-    char *end;
-    size_t n = strlen(key);
-    if (strcmp(text, "lossless") == 0) return true;
-    if (strncmp(text, key, n) == 0 && text[n] == '=') {
-        const char *number = text + n + 1;
-        *bound = strtod(number, &end);
-        return end != number && *end == 0 && isfinite(*bound) && *bound > 0;
-    }
-    if (text[0] < '0' || text[0] > '9') return false;
-    unsigned long v = strtoul(text, &end, 10);
-    *bits = (uint32_t)v;
-    return *end == 0 && v >= min_bits && v <= max_bits;
-}
-
 static void enter_phase(void *user, const char *name) { cli_phase(user, name); }
 
 /* META: what made this, from what, and how that was made. */
@@ -51,10 +34,8 @@ static svo_result make_provenance(run *r, const fmt_svo_reader *reader, svo_erro
 {
     uint8_t hash[16];
     char hex[33];
-    static const char digits[] = "0123456789abcdef";
     fmt_svo_reader_content_hash(reader, hash);
-    for (int i = 0; i < 16; i++) hex[2 * i] = digits[hash[i] >> 4], hex[2 * i + 1] = digits[hash[i] & 15];
-    hex[32] = 0;
+    fmt_hash_text(hash, hex);
     json_t *input = cli_provenance_input(r->c->inputs[0], hex), *inputs = json_array();
     json_t *source = json_loads(fmt_svo_reader_provenance(reader), 0, NULL);
     if (source != NULL) json_object_set_new(input, "provenance", source);
@@ -251,10 +232,7 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     run r = {.c = &c, .args = &args, .options = svo_default_dag_options()};
-    if (!parse_quality(args.color, "deltaE", 1, 16, &r.options.color_bits, &r.options.color_delta_e))
-        return cli_usage(&c, "--color takes lossless, a number of bits from 1 to 16, or deltaE=X with X above 0, not '%s'", args.color);
-    if (!parse_quality(args.normal, "deg", 4, 32, &r.options.normal_bits, &r.options.normal_degrees) || r.options.normal_bits % 2 != 0)
-        return cli_usage(&c, "--normal takes lossless, an even number of bits from 4 to 32, or deg=X with X above 0, not '%s'", args.normal);
+    if ((code = cli_take_quality(&c, args.color, args.normal, &r.options)) >= 0) return code;
     r.options.lod = args.lod == 0;
     r.options.threads = (uint32_t)c.threads;
     r.options.memory = c.memory;

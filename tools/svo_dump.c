@@ -6,7 +6,7 @@
 
 static svo_result dump_bytes(dump_job *j, svo_error *err)
 {
-    uint32_t kind = j->size >= 64 ? fmt_load32(j->data + 16) : 0;
+    uint32_t kind = fmt_container_kind(j->data, j->size);
     if (kind == FMT_KIND_SVO) return dump_svo(j, err);
     if (kind == FMT_KIND_SVDAG) return dump_svdag(j, err);
     if (kind == FMT_KIND_SCENE) return dump_scene(j, err);

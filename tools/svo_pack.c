@@ -2,7 +2,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "cli.h"
+#include "cli_quality.h"
 #include "fmt_scene.h"
 #include "fmt_scene_build.h"
 
@@ -17,40 +17,6 @@ typedef struct pack_options {
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const lods[] = {"all", "none", NULL};
-
-/* "lossless" or a number of bits between low and high. */
-static bool parse_bits(const char *text, uint32_t low, uint32_t high, uint32_t *bits)
-{
-    *bits = 0;
-    if (strcmp(text, "lossless") == 0) return true;
-    char *end;
-    unsigned long v = strtoul(text, &end, 10);
-    if (text[0] < '0' || text[0] > '9' || *end != 0 || v < low || v > high) return false;
-    *bits = (uint32_t)v;
-    return true;
-}
-
-/* auto, none or a list of names, as svo-voxelize has it. */
-static bool parse_attributes(const char *text, uint32_t *channels)
-{
-    static const struct { const char *name; uint32_t bit; } known[] = {
-        {"color", SVO_WANT_COLOR}, {"normal", SVO_WANT_NORMAL}, {"emissive", SVO_WANT_EMISSIVE}, {"metallic", SVO_WANT_METALLIC},
-        {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL}};
-    *channels = 0;
-    if (strcmp(text, "none") == 0) return true;
-    if (strcmp(text, "auto") == 0) {
-        *channels = SVO_WANT_AUTO;
-        return true;
-    }
-    for (;;) {
-        size_t n = strcspn(text, ","), k = 0;
-        while (k < 6 && (strlen(known[k].name) != n || strncmp(known[k].name, text, n) != 0)) k++;
-        if (k == 6) return false;
-        *channels |= known[k].bit;
-        if (text[n] == 0) return true;
-        text += n + 1;
-    }
-}
 
 static void next_phase(void *user, const char *name) { cli_phase(user, name); }
 
@@ -217,9 +183,10 @@ int main(int argc, char **argv)
          .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material.", .group = "Meshes"},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
         {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "KIND", .help = "Voxels inside.", .group = "Meshes"},
-        {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "BITS", .help = "lossless, or 1 to 16 bits a colour.", .group = "Meshes and .svo files"},
-        {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "BITS", .help = "lossless, or 4 to 32 bits (even) a normal.",
-         .group = "Meshes and .svo files"},
+        {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "lossless|BITS|deltaE=X",
+         .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94.", .group = "Meshes and .svo files"},
+        {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "lossless|BITS|deg=X",
+         .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees.", .group = "Meshes and .svo files"},
         {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes.",
          .group = "Meshes and .svo files"},
         {.name = "page", .kind = CLI_U64, .value = &o.page, .argument = "N", .min = 1, .max = 1 << 24, .help = "Most instances in a page.", .group = "Scene"},
@@ -242,10 +209,8 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     if (o.has_depth && o.has_size) return cli_usage(&c, "--depth and --voxel-size exclude each other");
-    if (!parse_attributes(o.attributes, &build.voxelize.channels)) return cli_usage(&c, "--attributes %s: auto, none or a list of attributes is expected", o.attributes);
-    if (!parse_bits(o.color, 1, 16, &build.dag.color_bits)) return cli_usage(&c, "--color %s: lossless or 1 to 16 is expected", o.color);
-    if (!parse_bits(o.normal, 4, 32, &build.dag.normal_bits) || build.dag.normal_bits % 2 != 0)
-        return cli_usage(&c, "--normal %s: lossless or an even number from 4 to 32 is expected", o.normal);
+    if ((code = cli_take_channels(&c, o.attributes, &build.voxelize.channels)) >= 0) return code;
+    if ((code = cli_take_quality(&c, o.color, o.normal, &build.dag)) >= 0) return code;
     build.depth = (uint32_t)o.depth;
     build.voxel_size = o.has_size ? o.voxel_size : 0;
     build.page_instances = (uint32_t)o.page;

@@ -54,41 +54,10 @@ typedef struct input {
     fmt_scene file;
     fmt_svdag dag;
     svo_packed *packed;
-    /* a scene of one asset */
-    svo_scene single;
-    const svo_view *view;
-    const char *name;
-    float transform[12];
-    uint32_t zero32;
-    uint64_t zero64;
-    svo_scene_page page;
+    svo_scene_one single;
     const svo_scene *scene;
     const char *kind;
 } input;
-
-static void single_scene(input *in, const svo_view *view)
-{
-    static const float identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
-    in->view = view;
-    in->name = "";
-    memcpy(in->transform, identity, sizeof identity);
-    svo_scene *s = &in->single;
-    s->asset_count = 1, s->assets = &in->view, s->asset_names = &in->name;
-    s->instance_count = 1, s->instance_asset = &in->zero32, s->instance_transform = in->transform;
-    s->instance_id = &in->zero64, s->instance_name = &in->zero32, s->names = "", s->names_size = 1;
-    s->page_count = 1, s->pages = &in->page;
-    in->page.count = 1;
-    svo_mat4 m;
-    memcpy(m.m, view->voxel_to_world, sizeof m.m);
-    for (int k = 0; k < 3; k++) in->page.low[k] = INFINITY, in->page.high[k] = -INFINITY;
-    double size = ldexp(1, (int)view->depth);
-    for (int i = 0; i < 8; i++) {
-        svo_vec3 p = svo_mat4_point(&m, svo_v3(i & 1 ? size : 0, i & 2 ? size : 0, i & 4 ? size : 0));
-        double c[3] = {p.x, p.y, p.z};
-        for (int k = 0; k < 3; k++) in->page.low[k] = fmin(in->page.low[k], c[k]), in->page.high[k] = fmax(in->page.high[k], c[k]);
-    }
-    in->scene = s;
-}
 
 static svo_result open_svo(input *in, cli *c, const svo_allocator *a, svo_error *err)
 {
@@ -106,19 +75,15 @@ static svo_result open_svo(input *in, cli *c, const svo_allocator *a, svo_error 
     }
     fmt_svo_reader_close(reader);
     fmt_input_close(stream);
-    if (r == SVO_OK) single_scene(in, svo_packed_view(in->packed));
+    if (r == SVO_OK) r = svo_scene_single(svo_packed_view(in->packed), "", a, &in->single, err);
+    if (r == SVO_OK) in->scene = &in->single.scene;
     return r;
 }
 
 static svo_result open_input(input *in, cli *c, const svo_allocator *a, svo_error *err)
 {
     SVO_TRY(fmt_bytes_open(c->inputs[0], c->memory, a, &in->bytes, err));
-    /* signature of the container, then the kind (docs/format/container.md) */
-    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', 0x0d, 0x0a, 0x1a, 0x0a};
-    fmt_kind kind = 0;
-    if (in->bytes.size >= 64 && memcmp(in->bytes.data, signature, 8) == 0)
-        kind = (fmt_kind)FMT_FOURCC(in->bytes.data[16], in->bytes.data[17], in->bytes.data[18], in->bytes.data[19]);
-    switch (kind) {
+    switch ((fmt_kind)fmt_container_kind(in->bytes.data, in->bytes.size)) {
     case FMT_KIND_SCENE:
         in->kind = "svscene";
         SVO_TRY(fmt_scene_open(in->bytes.data, in->bytes.size, a, &in->file, err));
@@ -127,7 +92,8 @@ static svo_result open_input(input *in, cli *c, const svo_allocator *a, svo_erro
     case FMT_KIND_SVDAG:
         in->kind = "svdag";
         SVO_TRY(fmt_svdag_open(in->bytes.data, in->bytes.size, a, &in->dag, err));
-        single_scene(in, &in->dag.view);
+        SVO_TRY(svo_scene_single(&in->dag.view, "", a, &in->single, err));
+        in->scene = &in->single.scene;
         return SVO_OK;
     case FMT_KIND_SVO: in->kind = "svo"; return open_svo(in, c, a, err);
     case FMT_KIND_SKEL: return svo_fail(err, SVO_UNSUPPORTED, "%s is a skeleton; svo-render draws .svscene, .svdag and .svo files", c->inputs[0]);

@@ -77,11 +77,7 @@ static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel
         uint8_t hash[16];
         char hex[33];
         fmt_svo_reader_content_hash(reader, hash);
-        for (int i = 0; i < 16; i++) {
-            hex[2 * i] = "0123456789abcdef"[hash[i] >> 4];
-            hex[2 * i + 1] = "0123456789abcdef"[hash[i] & 15];
-        }
-        hex[32] = 0;
+        fmt_hash_text(hash, hex);
         json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hex));
     }
     fmt_svo_reader_close(reader);
@@ -110,17 +106,15 @@ static svo_result from_mesh(cli *c, const skel_options *o, skel_skeleton *out, j
     return r;
 }
 
-/* Our own signature is 8 bytes that no mesh begins with. */
 static svo_result is_container(const char *path, bool *yes, svo_error *err)
 {
-    static const uint8_t signature[8] = {0x89, 'S', 'V', 'X', '\r', '\n', 0x1a, '\n'};
-    uint8_t start[8];
+    uint8_t start[64];
     size_t got;
     fmt_input *in;
     SVO_TRY(fmt_input_open(path, &in, err));
     svo_result r = fmt_input_read(in, start, sizeof start, &got, err);
     fmt_input_close(in);
-    *yes = r == SVO_OK && got == sizeof start && memcmp(start, signature, sizeof start) == 0;
+    *yes = r == SVO_OK && fmt_container_kind(start, got) != 0;
     return r;
 }
 

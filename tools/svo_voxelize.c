@@ -3,7 +3,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "cli.h"
+#include "cli_quality.h"
 #include "fmt_import.h"
 #include "fmt_svo.h"
 #include "svo_shard.h"
@@ -27,31 +27,6 @@ typedef struct tool_options {
     uint32_t shard_index, shard_count; /* 0 = not sharded */
     bool key;
 } tool_options;
-
-/* "auto", "none" or a comma-separated list of channel names; false with the culprit in *bad. */
-static bool parse_attributes(const char *text, uint32_t *out, char bad[40])
-{
-    static const struct { const char *name; uint32_t bit; } names[] = {
-        {"color", SVO_WANT_COLOR}, {"normal", SVO_WANT_NORMAL}, {"emissive", SVO_WANT_EMISSIVE},
-        {"metallic", SVO_WANT_METALLIC}, {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL}};
-    *out = strcmp(text, "auto") == 0 ? SVO_WANT_AUTO : 0;
-    if (*out != 0 || strcmp(text, "none") == 0) return true;
-    for (const char *at = text;;) {
-        size_t length = strcspn(at, ",");
-        uint32_t bit = 0;
-        for (size_t i = 0; i < sizeof names / sizeof *names; i++)
-            if (strlen(names[i].name) == length && memcmp(names[i].name, at, length) == 0) bit = names[i].bit;
-        if (bit == 0) {
-            size_t n = length < 39 ? length : 39;
-            memcpy(bad, at, n);
-            bad[n] = 0;
-            return false;
-        }
-        *out |= bit;
-        if (at[length] == 0) return true;
-        at += length + 1;
-    }
-}
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
 static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
@@ -334,10 +309,9 @@ int main(int argc, char **argv)
     if (o.depfile != NULL && !o.key && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
-    char bad[40];
     if (strstr(o.attributes, "bone") != NULL)
         return cli_usage(&c, "a bone channel is made by svo-skeleton --bind");
-    if (!parse_attributes(o.attributes, &o.channels, bad)) return cli_usage(&c, "--attributes: \"%s\" is no channel", bad);
+    if ((code = cli_take_channels(&c, o.attributes, &o.channels)) >= 0) return code;
     for (int i = 0; i < c.input_count; i++)
         if (strcmp(c.inputs[i], "-") == 0) return cli_usage(&c, "meshes are read from files, not from stdin");
     svo_error err = {0};
