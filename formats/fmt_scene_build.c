@@ -123,7 +123,7 @@ typedef enum content { CONTENT_OTHER, CONTENT_JSON, CONTENT_SVO, CONTENT_SVDAG, 
 
 static content content_of(const fmt_bytes *f)
 {
-    uint32_t kind = fmt_container_kind(f->data, f->size);
+    uint32_t kind = f->size >= 64 ? fmt_container_kind(f->data, f->size) : 0; /* a file shorter than a header is damaged, not of a kind */
     if (kind != 0) return kind == FMT_KIND_SVO ? CONTENT_SVO : kind == FMT_KIND_SVDAG ? CONTENT_SVDAG : CONTENT_OURS;
     uint64_t i = f->size >= 3 && memcmp(f->data, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
     while (i < f->size && isspace(f->data[i])) i++;
