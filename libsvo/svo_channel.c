@@ -25,13 +25,14 @@ float svo_srgb_to_linear(uint8_t v) { return svoi_srgb_linear[v]; }
 uint8_t svo_linear_to_srgb(float v)
 {
     if (!(v > 0)) return 0; /* NaN too */
-    uint32_t low = 0, high = 255; /* the answer: number of thresholds that are <= v */
-    while (low < high) {
-        uint32_t mid = (low + high) / 2;
-        if (svoi_srgb_threshold[mid] <= v) low = mid + 1;
-        else high = mid;
-    }
-    return (uint8_t)low;
+    /* the answer: number of thresholds that are <= v; a fit of the curve by square roots is off by few */
+    if (!(v < 1)) return 255;
+    float a = sqrtf(v), b = sqrtf(a), c = sqrtf(b);
+    int guess = (int)(255 * (0.6620027f * a + 0.6841221f * b - 0.3235836f * c - 0.02254115f * v) + 0.5f);
+    guess = guess < 0 ? 0 : guess > 255 ? 255 : guess;
+    while (guess > 0 && !(svoi_srgb_threshold[guess - 1] <= v)) guess--;
+    while (guess < 255 && svoi_srgb_threshold[guess] <= v) guess++;
+    return (uint8_t)guess;
 }
 
 static int16_t load16(const uint8_t *p) { return (int16_t)(uint16_t)(p[0] | p[1] << 8); }
@@ -68,16 +69,20 @@ void svo_oct32_encode(const float n[3], uint8_t out[4])
             double a = (1 - fabs(v)) * (u < 0 ? -1 : 1), b = (1 - fabs(u)) * (v < 0 ? -1 : 1);
             u = a, v = b;
         }
-        int fu = (int)floor(u * 32767), fv = (int)floor(v * 32767);
-        double best = -INFINITY;
+        double fu = fmin(floor(u * 32767), 32766), fv = fmin(floor(v * 32767), 32766);
+        /* Squared cosine of each of the four, whose vectors are 32767 times as long before they are made unit vectors. No branches: their
+         * outcomes would be random. */
+        double score[4];
         for (int i = 0; i < 4; i++) {
-            int cu = fu + (i & 1), cv = fv + (i >> 1);
-            if (cu < -32767 || cu > 32767 || cv < -32767 || cv > 32767) continue;
-            double d[3];
-            oct_decode(cu, cv, d);
-            double dot = d[0] * x + d[1] * y + d[2] * z;
-            if (dot > best) best = dot, best_u = cu, best_v = cv;
+            double cu = fu + (i & 1), cv = fv + (i >> 1), au = fabs(cu), av = fabs(cv), c = 32767 - au - av;
+            double su = copysign(32767 - av, cu), sv = copysign(32767 - au, cv);
+            double a = c < 0 ? su : cu, b = c < 0 ? sv : cv, dot = a * x + b * y + c * z;
+            score[i] = dot * dot / (a * a + b * b + c * c);
         }
+        int best = 0;
+        for (int i = 1; i < 4; i++) best = score[i] > score[best] ? i : best;
+        best_u = (int)fu + (best & 1);
+        best_v = (int)fv + (best >> 1);
     }
     uint16_t a = (uint16_t)(int16_t)best_u, b = (uint16_t)(int16_t)best_v;
     out[0] = (uint8_t)a, out[1] = (uint8_t)(a >> 8), out[2] = (uint8_t)b, out[3] = (uint8_t)(b >> 8);

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "svo_raster.h"
 #include "svo_task.h"
 #include "svo_texture.h"
 
@@ -155,7 +156,7 @@ bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool
 /* Normals of the corners. They are mapped before they are interpolated: the map is linear, so that is the same. */
 static void corner_normals(const svo_shader *s, svo_facet *t)
 {
-    svo_vec3 face = svo_normalize(svo_v3(t->normal[0], t->normal[1], t->normal[2]));
+    svo_vec3 face = svo_v3(t->face[0], t->face[1], t->face[2]);
     /* A mirroring transform turns the corners' order round; the front stays the front. */
     t->mirrored = s->mirrored[t->instance];
     if (t->mirrored) face = svo_scale(face, -1);
@@ -176,7 +177,15 @@ static void corner_normals(const svo_shader *s, svo_facet *t)
     for (int k = 0; k < 3; k++) t->corner_normal[k][0] = n[k].x, t->corner_normal[k][1] = n[k].y, t->corner_normal[k][2] = n[k].z;
 }
 
-void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], svo_facet *out)
+static void normal_of(double (*c)[3], double n[3])
+{
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        n[k] = (c[1][i] - c[0][i]) * (c[2][j] - c[0][j]) - (c[1][j] - c[0][j]) * (c[2][i] - c[0][i]);
+    }
+}
+
+void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], const int32_t q[3][3], svo_facet *out)
 {
     const svo_group *g = &s->placement->groups[group];
     out->part = g->part;
@@ -186,15 +195,25 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
     memcpy(out->vertex, g->part->indices + 3 * local, sizeof out->vertex);
     svo_vec3 v[3];
     svo_placement_world(s->placement, g, local, v);
-    for (int k = 0; k < 3; k++) {
-        out->corner[k][0] = (v[k].x - s->grid.origin[0]) / s->grid.size - block[0];
-        out->corner[k][1] = (v[k].y - s->grid.origin[1]) / s->grid.size - block[1];
-        out->corner[k][2] = (v[k].z - s->grid.origin[2]) / s->grid.size - block[2];
-    }
     double (*c)[3] = out->corner;
     for (int k = 0; k < 3; k++) {
-        int i = (k + 1) % 3, j = (k + 2) % 3;
-        out->normal[k] = (c[1][i] - c[0][i]) * (c[2][j] - c[0][j]) - (c[1][j] - c[0][j]) * (c[2][i] - c[0][i]);
+        c[k][0] = (v[k].x - s->grid.origin[0]) / s->grid.size - block[0];
+        c[k][1] = (v[k].y - s->grid.origin[1]) / s->grid.size - block[1];
+        c[k][2] = (v[k].z - s->grid.origin[2]) / s->grid.size - block[2];
+    }
+    normal_of(c, out->normal);
+    svo_vec3 face = svo_normalize(svo_v3(out->normal[0], out->normal[1], out->normal[2]));
+    out->face[0] = face.x, out->face[1] = face.y, out->face[2] = face.z;
+    out->inside = true;
+    for (int k = 0; k < 3; k++) out->inside &= q[0][k] >> 8 == q[1][k] >> 8 && q[0][k] >> 8 == q[2][k] >> 8;
+    out->clips = false;
+    if (!out->inside) {
+        /* A little beside the planes of the grid, to the side that the snap prefers, and unequally, so that neither edges nor the
+         * lines where the plane passes a layer coincide with sides of voxels, not even in models built of integers. */
+        const double nudge[3] = {1e-4, 1.37e-4, 0.73e-4}, top = ldexp(1, (int)s->grid.depth) - 1;
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++) c[i][k] += c[i][k] + block[k] > top ? -nudge[k] : nudge[k];
+        out->clips = svoi_clipper_make(&out->clipper, (const double(*)[3])c);
     }
     out->axis = fabs(out->normal[1]) > fabs(out->normal[0]) ? 1 : 0;
     if (fabs(out->normal[2]) > fabs(out->normal[out->axis])) out->axis = 2;
@@ -204,9 +223,17 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
         uint32_t i = (out->axis + 1) % 3, j = (out->axis + 2) % 3;
         out->per_x[0] = (c[2][j] - c[0][j]) / n, out->per_y[0] = -(c[2][i] - c[0][i]) / n;
         out->per_x[1] = -(c[1][j] - c[0][j]) / n, out->per_y[1] = (c[1][i] - c[0][i]) / n;
+    } else {
+        out->per_x[0] = out->per_x[1] = out->per_y[0] = out->per_y[1] = 0;
     }
     for (int k = 0; k < 4; k++) out->texture[k].ready = false;
     if (s->layout.normal < SVO_MAX_CHANNELS) corner_normals(s, out);
+}
+
+bool svo_facet_reads_textures(const svo_shader *s, const svo_facet *t)
+{
+    const shade_material *m = material_of(s, t->material);
+    return m->base != NULL || m->opacity != NULL || m->emissive != NULL || m->metallic_roughness != NULL;
 }
 
 /* --- polygons ------------------------------------------------------------------------------------------------- */
@@ -289,8 +316,8 @@ static void barycentric(const svo_facet *t, const double p[3], double b[3])
     for (int k = 0; k < 3; k++) b[k] = sum > 0 ? b[k] / sum : 1.0 / 3;
 }
 
-/* Area (voxel faces) and centroid; the middle of its corners when it has no area, the voxel's middle when it is empty. */
-static double area_of(const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], double centre[3])
+/* Centroid; the middle of its corners when it has no area, the voxel's middle when it is empty. */
+static void centre_of(const svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], double centre[3])
 {
     uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
     const double *o = polygon->at[0];
@@ -301,20 +328,32 @@ static double area_of(const svo_facet *t, const svo_polygon *polygon, const int3
         twice += cross;
         for (int c = 0; c < 3; c++) sum[c] += cross * ((a[c] - o[c]) + (b[c] - o[c]));
     }
-    if (polygon->count == 0) {
-        for (int c = 0; c < 3; c++) centre[c] = cell[c] + 0.5;
-        return 0;
-    }
-    double n = t->normal[t->axis];
-    if (fabs(twice) > 1e-12) {
-        for (int c = 0; c < 3; c++) centre[c] = o[c] + sum[c] / (3 * twice);
-    } else {
-        for (int c = 0; c < 3; c++) {
-            centre[c] = 0;
+    for (int c = 0; c < 3; c++) {
+        centre[c] = 0;
+        if (polygon->count == 0) centre[c] = cell[c] + 0.5;
+        else if (fabs(twice) > 1e-12) centre[c] = o[c] + sum[c] / (3 * twice);
+        else
             for (uint32_t k = 0; k < polygon->count; k++) centre[c] += polygon->at[k][c] / polygon->count;
-        }
     }
-    return n != 0 ? 0.5 * fabs(twice) * (t->length / fabs(n)) : 0;
+}
+
+void svo_facet_piece(const svo_facet *t, svo_piece *out)
+{
+    const uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
+    *out = (svo_piece){.area = 0.5 * t->length};
+    for (int k = 0; k < 3; k++) out->centre[k] = (t->corner[0][k] + t->corner[1][k] + t->corner[2][k]) * (1.0 / 3);
+    for (int k = 0; k < 3; k++) {
+        double x = t->corner[k][i] - out->centre[i], y = t->corner[k][j] - out->centre[j];
+        out->xx += x * x * (1.0 / 12);
+        out->xy += x * y * (1.0 / 12);
+        out->yy += y * y * (1.0 / 12);
+    }
+}
+
+uint64_t svo_piece_weight(const svo_piece *piece, uint32_t shift)
+{
+    double weight = piece->area * (double)((uint64_t)1 << shift) + 0.5;
+    return weight >= 1 ? (uint64_t)weight : 1;
 }
 
 /* --- reading textures ----------------------------------------------------------------------------------------- */
@@ -340,7 +379,6 @@ static const svo_facet_texture *facet_texture(svo_facet *t, uint32_t slot, const
         f->per_x[i] = e[i] * t->per_x[0] + g[i] * t->per_x[1];
         f->per_y[i] = e[i] * t->per_y[0] + g[i] * t->per_y[1];
     }
-    f->density = t->length > 0 ? fabs(e[0] * g[1] - e[1] * g[0]) / t->length : 0;
     return f;
 }
 
@@ -357,41 +395,78 @@ static void texel_at(const svo_facet *t, const svo_facet_texture *f, const doubl
     for (int i = 0; i < 2; i++) out[i] = b[0] * f->corner[0][i] + b[1] * f->corner[1][i] + b[2] * f->corner[2][i];
 }
 
-/* Average of a texture over a polygon: a fan of triangles about the centroid, each read at its own centroid in the mip
- * level where a texel has its size; one reading where the whole polygon is smaller than a texel. */
-static void read_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon,
-                         const double centre[3], double area, float out[4])
+/* Taps that have the variance `rest` together when they are spread evenly, `count` of them. */
+static double spacing(double rest, uint32_t count) { return count > 1 && rest > 0 ? sqrt(12 * rest / ((double)count * count - 1)) : 0; }
+
+static uint32_t taps_for(double width, uint32_t most)
 {
+    if (width < 0.6) return 1;
+    double n = ceil(width * (1 / 1.25));
+    return n < 2 ? 2 : n < most ? (uint32_t)n : most;
+}
+
+/* Average of a texture over a piece: readings of one mip level, on a lattice along the long and the short axis of the piece's
+ * footprint in the texture. Readings, with the filter that is in the level, have the covariance of the footprint, so that the average is
+ * right for every image that varies at most quadratically over it. The level follows from the short axis. */
+static void read_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_piece *piece, float out[4])
+{
+    enum { MOST = 16 };
     const svo_facet_texture *f = facet_texture(t, slot, how, p);
-    double footprint = f->density * area, at[2], width = 1.0 / p->width[0], height = 1.0 / p->height[0];
-    if (polygon->count < 3 || !(area > 0) || (footprint < 1 && !how->nearest)) {
-        texel_at(t, f, centre, polygon->count > 0, at);
-        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, footprint > 1 ? 0.5 * log2(footprint) : 0, out);
+    double at[2], width = 1.0 / p->width[0], height = 1.0 / p->height[0];
+    texel_at(t, f, piece->centre, t->clips, at);
+    /* covariance in texels, its two variances and the direction of the larger */
+    const double a = f->per_x[0], b = f->per_y[0], c = f->per_x[1], d = f->per_y[1];
+    double uu = a * a * piece->xx + 2 * a * b * piece->xy + b * b * piece->yy, vv = c * c * piece->xx + 2 * c * d * piece->xy + d * d * piece->yy;
+    double uv = a * c * piece->xx + (a * d + b * c) * piece->xy + b * d * piece->yy;
+    double middle = 0.5 * (uu + vv), half = 0.5 * (uu - vv), root = sqrt(half * half + uv * uv);
+    double large = middle + root, small = middle - root > 0 ? middle - root : 0;
+    if (!(large > 0.03)) { /* narrower than 0.6 texels (or not a number) */
+        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, 0, out);
         return;
     }
-    double sum[4] = {0, 0, 0, 0}, total = 0;
-    uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
-    double scale = t->length / fabs(t->normal[t->axis]);
-    for (uint32_t k = 0; k < polygon->count; k++) {
-        const double *a = polygon->at[k], *c = polygon->at[k + 1 < polygon->count ? k + 1 : 0];
-        double cross = fabs((a[i] - centre[i]) * (c[j] - centre[j]) - (a[j] - centre[j]) * (c[i] - centre[i]));
-        double part = 0.5 * cross * scale;
-        if (!(part > 1e-3 * area)) continue;
-        double middle[3];
-        for (int x = 0; x < 3; x++) middle[x] = (a[x] + c[x] + centre[x]) * (1.0 / 3);
-        texel_at(t, f, middle, true, at);
-        part *= f->density;
-        float texel[4];
-        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, part > 1 ? 0.5 * log2(part) : 0, texel);
-        for (int x = 0; x < 4; x++) sum[x] += cross * (double)texel[x];
-        total += cross;
+    double x = uv, y = large - uu;
+    if (uu > vv) x = large - vv, y = uv;
+    double norm = sqrt(x * x + y * y);
+    x = norm > 0 ? x / norm : 1;
+    y = norm > 0 ? y / norm : 0;
+    const double length = sqrt(12 * large), breadth = sqrt(12 * small);
+    /* A level of texels of size s has a variance of (s^2 - 1) / 4 (box and tent, less that of the image itself), which has to fit
+     * into the footprint: s <= breadth / sqrt(3), or a little more; larger where the number of readings asks for it. */
+    uint32_t level = 0, m = 0, n = 0;
+    double size = 1;
+    for (;; level++, size *= 2) {
+        m = taps_for(breadth / size, 4);
+        n = taps_for(length / size, MOST / m);
+        if (level + 1 >= p->levels) break;
+        if (2 * size <= 0.58 * breadth) continue;
+        if (length <= 1.6 * size * (MOST / m)) break;
     }
-    if (total > 0) {
-        for (int x = 0; x < 4; x++) out[x] = (float)(sum[x] / total);
-    } else {
-        texel_at(t, f, centre, true, at);
-        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, 0, out);
+    if (how->nearest && level == 0) { /* hard edges between texels: more readings */
+        m = m < 4 ? m + 2 : m;
+        n = n < 4 ? n + 2 : n;
     }
+    const double inherent = (size * size - 1) * 0.25, step = spacing(large - inherent, n), across = spacing(small - inherent, m);
+    float sum[4] = {0, 0, 0, 0};
+    for (uint32_t i = 0; i < n; i++)
+        for (uint32_t j = 0; j < m; j++) {
+            float texel[4];
+            const double r = (i - 0.5 * (n - 1)) * step, q = (j - 0.5 * (m - 1)) * across;
+            svo_pyramid_sample(p, how, (at[0] + r * x - q * y) * width, (at[1] + r * y + q * x) * height, level, texel);
+            for (int k = 0; k < 4; k++) sum[k] += texel[k];
+        }
+    for (int k = 0; k < 4; k++) out[k] = sum[k] / (float)(n * m);
+}
+
+/* Colours are stored times alpha. Where the readings met only what is hidden, the colour is that of the nearest level that has one. */
+static void unmultiply(svo_facet *t, const svo_texture *how, const svo_pyramid *p, const svo_piece *piece, float texel[4])
+{
+    float colour[4] = {texel[0], texel[1], texel[2], texel[3]};
+    for (uint32_t level = 1; !(colour[3] > 0) && level < p->levels; level++) {
+        double at[2];
+        texel_at(t, facet_texture(t, BASE, how, p), piece->centre, t->clips, at);
+        svo_pyramid_sample(p, how, at[0] / p->width[0], at[1] / p->height[0], level, colour);
+    }
+    for (int i = 0; i < 3; i++) texel[i] = colour[3] > 0 ? colour[i] / colour[3] : 0;
 }
 
 /* Largest alpha (red for a linear image) that a texture has anywhere in the polygon. */
@@ -425,7 +500,7 @@ bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *pol
     if (!t->masks) return true;
     const shade_material *m = material_of(s, t->material);
     double centre[3], b[3];
-    area_of(t, polygon, cell, centre);
+    centre_of(t, polygon, cell, centre);
     double alpha = m->m.base_color[3];
     if (t->part->colors != NULL) {
         barycentric(t, centre, b);
@@ -448,32 +523,29 @@ static void normal_at(const svo_facet *t, const double b[3], int32_t out[3])
     double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
     if (!(length > 1e-9)) { /* they cancel: the face */
         double sign = t->mirrored ? -1 : 1;
-        for (int i = 0; i < 3; i++) n[i] = sign * t->normal[i];
-        length = t->length;
+        for (int i = 0; i < 3; i++) n[i] = sign * t->face[i];
+        length = 1;
     }
     double k = length > 0 ? 32767 / length : 0;
     for (int i = 0; i < 3; i++) out[i] = (int32_t)floor(n[i] * k + 0.5);
 }
 
-uint64_t svo_facet_weight(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift)
+void svo_contribution_weigh(svo_contribution *c, uint64_t weight)
 {
-    if (!svo_facet_visible(s, t, polygon, cell)) return 0;
-    double centre[3], weight = area_of(t, polygon, cell, centre) * (double)((uint64_t)1 << shift) + 0.5;
-    return weight >= 1 ? (uint64_t)weight : 1;
+    c->weight = c->color_weight = weight;
+    if (c->alpha == 1) return;
+    double w = (double)weight * c->alpha + 0.5;
+    c->color_weight = w >= 1 ? (uint64_t)w : 1;
 }
 
-bool svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
-                              svo_contribution *out)
+void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *piece, uint32_t shift, svo_contribution *out)
 {
-    if (!svo_facet_visible(s, t, polygon, cell)) return false;
     const shade_material *m = material_of(s, t->material);
     const svo_shade_layout *l = &s->layout;
-    double centre[3], b[3];
-    double area = area_of(t, polygon, cell, centre);
-    barycentric(t, centre, b);
+    double b[3];
+    barycentric(t, piece->centre, b);
     memset(out, 0, sizeof *out);
-    double weight = area * (double)((uint64_t)1 << shift) + 0.5;
-    out->weight = out->color_weight = weight >= 1 ? (uint64_t)weight : 1;
+    out->alpha = 1;
     if (l->color < SVO_MAX_CHANNELS) {
         double c[4] = {m->m.base_color[0], m->m.base_color[1], m->m.base_color[2], m->m.base_color[3]};
         if (t->part->colors != NULL) {
@@ -484,35 +556,31 @@ bool svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_polygon
         }
         if (m->base != NULL) {
             float texel[4];
-            read_texture(t, BASE, &m->m.base_color_texture, m->base, polygon, centre, area, texel);
-            if (m->alpha_matters && texel[3] > 0)
-                for (int i = 0; i < 3; i++) texel[i] /= texel[3]; /* stored premultiplied */
+            read_texture(t, BASE, &m->m.base_color_texture, m->base, piece, texel);
+            if (m->alpha_matters) unmultiply(t, &m->m.base_color_texture, m->base, piece, texel);
             for (int i = 0; i < 4; i++) c[i] *= texel[i];
         }
         if (m->opacity != NULL) {
             float texel[4];
-            read_texture(t, OPACITY, &m->m.opacity_texture, m->opacity, polygon, centre, area, texel);
+            read_texture(t, OPACITY, &m->m.opacity_texture, m->opacity, piece, texel);
             c[3] *= texel[0];
         }
         for (int i = 0; i < 3; i++) out->color[i] = to16(c[i]);
-        if (m->alpha_matters) {
-            weight = (double)out->weight * (c[3] > 0 ? c[3] < 1 ? c[3] : 1 : 0) + 0.5;
-            out->color_weight = weight >= 1 ? (uint64_t)weight : 1;
-        }
+        if (m->alpha_matters) out->alpha = c[3] > 0 ? c[3] < 1 ? c[3] : 1 : 0;
     }
     if (l->normal < SVO_MAX_CHANNELS) normal_at(t, b, out->normal);
     if (l->emissive < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->emissive != NULL) read_texture(t, EMISSIVE, &m->m.emissive_texture, m->emissive, polygon, centre, area, texel);
+        if (m->emissive != NULL) read_texture(t, EMISSIVE, &m->m.emissive_texture, m->emissive, piece, texel);
         for (int i = 0; i < 3; i++) out->emissive[i] = to16((double)m->m.emissive[i] * (double)texel[i]);
     }
     if (l->metallic < SVO_MAX_CHANNELS || l->roughness < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->metallic_roughness != NULL) read_texture(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, polygon, centre, area, texel);
+        if (m->metallic_roughness != NULL) read_texture(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, piece, texel);
         out->roughness = to16((double)m->m.roughness * (double)texel[1]);
         out->metallic = to16((double)m->m.metallic * (double)texel[2]);
     }
-    return true;
+    svo_contribution_weigh(out, svo_piece_weight(piece, shift));
 }
 
 void svo_shade_add(const svo_shade_layout *l, const svo_contribution *c, uint64_t *sums)

@@ -1,12 +1,13 @@
 /* Attributes of voxels: what each triangle contributes to each voxel that it meets, and their averages.
  *
- * A contribution is taken over the part of the triangle inside the voxel (clipped in double precision, positions before
- * the snap): its area is the weight, its centroid is where vertex values are read, and textures are averaged over it. Sums
- * are 64-bit integers, so that the result does not depend on the order of triangles. */
+ * A contribution is taken over the part of the triangle inside the voxel: its area is the weight, its centroid is where vertex
+ * values are read, and textures are averaged over it. Positions are those before the snap. Sums are 64-bit integers, so that
+ * the result does not depend on the order of triangles. */
 #ifndef SVO_SHADE_H
 #define SVO_SHADE_H
 
 #include "svo_bin.h"
+#include "svoi_clip.h"
 #include "svo_stream.h"
 
 #ifdef __cplusplus
@@ -32,15 +33,18 @@ const svo_shade_layout *svo_shader_layout(const svo_shader *s);
 typedef struct svo_facet_texture {
     double corner[3][2];
     double per_x[2], per_y[2];
-    double density; /* texels a voxel face */
     bool ready;
 } svo_facet_texture;
 
 /* A triangle ready to be clipped: corners in voxels relative to a block's corner. */
 typedef struct svo_facet {
     double corner[3][3];
-    double normal[3];   /* of the face, grid axes (= world axes), not unit */
+    double normal[3];   /* of the corners above, not unit */
+    double face[3];     /* unit normal */
     double length;      /* of normal = twice the area in voxels */
+    svoi_clipper clipper;
+    bool clips;         /* clipper is usable */
+    bool inside;        /* lies in one voxel altogether */
     uint32_t axis;      /* dominant axis of normal */
     double per_x[2], per_y[2]; /* barycentric coordinates 1 and 2 by offset from corner 0 */
     double corner_normal[3][3]; /* vertex normals in the world, with a common scale; of the face where there are none */
@@ -55,8 +59,8 @@ typedef struct svo_facet {
     bool masks;        /* alpha MASK with something to test */
 } svo_facet;
 
-/* `block` is the low corner of the block, in voxels. */
-void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], svo_facet *out);
+/* `block` is the low corner of the block, in voxels; q the snapped corners relative to it. */
+void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], const int32_t q[3][3], svo_facet *out);
 /* The same without geometry: only flat and masks are meaningful. */
 bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool *masks);
 
@@ -69,17 +73,29 @@ void svo_polygon_slab(const svo_polygon *in, uint32_t axis, double low, svo_poly
 typedef struct svo_contribution {
     uint64_t weight, color_weight; /* area in units of 2^-shift voxel faces, at least 1 */
     uint16_t color[3], emissive[3], metallic, roughness;
+    double alpha; /* color_weight / weight */
     int32_t normal[3];
 } svo_contribution;
 
-/* Polygon: the triangle clipped to the voxel at cell[3] (block-relative); may be empty or thin, then the nearest point counts.
- * False when alpha MASK leaves nothing of it. */
-bool svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift,
-                              svo_contribution *out);
-/* The weight alone, 0 when alpha MASK leaves nothing of it. */
-uint64_t svo_facet_weight(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3], uint32_t shift);
-/* Only the question of MASK. */
+/* The part of a facet in one voxel. */
+typedef struct svo_piece {
+    double area;       /* voxel faces */
+    double centre[3];  /* centroid, relative to the block; where `clips`, only the axes after the facet's are used */
+    double xx, xy, yy; /* covariance of its points along those two axes; 0 where it has no extent to speak of */
+} svo_piece;
+
+/* The facet as a whole. */
+void svo_facet_piece(const svo_facet *t, svo_piece *out);
+/* What a piece contributes. */
+void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *piece, uint32_t shift, svo_contribution *out);
+/* The weight alone, and the same values with another weight (of a flat facet). */
+uint64_t svo_piece_weight(const svo_piece *piece, uint32_t shift);
+void svo_contribution_weigh(svo_contribution *c, uint64_t weight);
+/* Does alpha MASK leave something of it? Polygon: the facet clipped to the voxel at cell[3] (block-relative); it may be empty or thin,
+ * then the nearest point counts. */
 bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3]);
+/* Do contributions read textures, so that the covariance is used? */
+bool svo_facet_reads_textures(const svo_shader *s, const svo_facet *t);
 
 /* Add to `sums` (layout fields), and turn sums into channel values: values[channel] receives the bytes. */
 void svo_shade_add(const svo_shade_layout *l, const svo_contribution *c, uint64_t *sums);

@@ -140,6 +140,10 @@ void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, 
     }
     uint32_t l = (uint32_t)level;
     float t = (float)(level - l), fine[4], coarse[4];
+    if (t == 0) {
+        bilinear(p, how, l, u, v, out);
+        return;
+    }
     bilinear(p, how, l, u, v, fine);
     bilinear(p, how, l + 1, u, v, coarse);
     for (int i = 0; i < 4; i++) out[i] = fine[i] + (coarse[i] - fine[i]) * t;

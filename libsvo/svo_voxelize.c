@@ -13,13 +13,15 @@
 
 enum {
     MAX_WORKERS = 256,
-    SLICE_VOXELS = 1 << 17 /* voxels averaged at a time: bounds the memory for sums */
+    SLICE_VOXELS = 1 << 17, /* voxels averaged at a time: bounds the memory for sums */
+    MOST_VISITS = 1 << 20   /* (triangle, voxel) pairs of a chunk that are remembered; with more they are found again */
 };
 
 /* Scratch of a worker. */
 typedef struct worker {
     svo_block *block;
     svo_buffer masks, sums, values, ids;
+    svo_buffer visits, starts; /* packed voxels that each triangle meets (uint32_t), and where each triangle's begin */
 } worker;
 
 typedef struct run {
@@ -61,24 +63,59 @@ typedef struct scan_state {
     worker *w;
     item *it;
     svo_facet facet;
-    svo_polygon whole, slab, column, cell; /* the facet, and cut to the row, the column, the voxel */
+    svo_polygon whole; /* the facet */
+    bool recording; /* visits of all triangles so far are in the worker's buffers */
     int32_t corner_axis[3];
     const svo_shade_layout *layout;
     uint32_t shift;
     uint64_t slice_begin, slice_end; /* complex voxels averaged now */
     bool first_slice;
     uint8_t (*flat_values)[SVO_MAX_STRIDE]; /* of a flat facet, encoded when first used */
-    bool flat_ready;
+    bool flat_ready, flat_encoded, moments;
     svo_contribution flat;
+    uint32_t pending; /* voxels of the facet that wait for their area */
+    uint64_t *target[SVOI_CLIP_BATCH];
+    svoi_clip_batch batch;
     uint8_t *channels[SVO_MAX_CHANNELS];
+    uint32_t written[SVO_MAX_CHANNELS], written_count, stride[SVO_MAX_CHANNELS]; /* channels that are averaged */
     uint64_t *sums;
 } scan_state;
 
-static void cell_of(const svo_raster_row *row, int32_t u, int32_t w, int32_t cell[3])
+/* A voxel of the block in 32 bits. */
+static inline uint32_t packed(const svo_raster_row *row, int32_t u, int32_t w)
 {
-    cell[row->u] = u;
-    cell[row->v] = row->at_v;
-    cell[row->w] = w;
+    return (uint32_t)u << 8 * row->u | (uint32_t)row->at_v << 8 * row->v | (uint32_t)w << 8 * row->w;
+}
+static inline uint32_t code_of(const svo_block *b, uint32_t voxel)
+{
+    return b->spread[0][voxel & 255] | b->spread[1][voxel >> 8 & 255] | b->spread[2][voxel >> 16];
+}
+
+/* Remember the voxels of a row for the passes to come; give up where memory or the limit does not allow it. */
+static void record_row(scan_state *s, const svo_raster_row *row)
+{
+    if (!s->recording) return;
+    size_t count = 0;
+    for (int32_t u = row->u0; u <= row->u1; u++) count += row->lo[u] <= row->hi[u] ? (size_t)(row->hi[u] - row->lo[u] + 1) : 0;
+    svo_buffer *v = &s->w->visits;
+    if (v->size / 4 + count > MOST_VISITS || !svo_buffer_reserve(v, 4 * count)) {
+        s->recording = false;
+        return;
+    }
+    uint32_t *out = (uint32_t *)(void *)(v->data + v->size);
+    for (int32_t u = row->u0; u <= row->u1; u++)
+        for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) *out++ = packed(row, u, w);
+    v->size += 4 * count;
+}
+
+/* Is something of the facet visible in a voxel? */
+static bool visible(scan_state *s, const int32_t cell[3])
+{
+    svo_polygon a, b;
+    svo_polygon_slab(&s->whole, 0, cell[0], &a);
+    svo_polygon_slab(&a, 1, cell[1], &b);
+    svo_polygon_slab(&b, 2, cell[2], &a);
+    return svo_facet_visible(s->r->shader, &s->facet, &a, cell);
 }
 
 /* Mark voxels in which something of the triangle is visible. */
@@ -86,19 +123,17 @@ static void mark_masked(void *user, const svo_raster_row *row)
 {
     scan_state *s = user;
     svo_block *b = s->w->block;
-    svo_polygon_slab(&s->whole, row->v, row->at_v, &s->slab);
     for (int32_t u = row->u0; u <= row->u1; u++) {
-        if (row->lo[u] > row->hi[u]) continue;
-        svo_polygon_slab(&s->slab, row->u, u, &s->column);
         uint32_t column = svo_block_column(b, row, u);
         for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
             uint32_t code = column | b->spread[row->w][w];
             uint64_t bit = (uint64_t)1 << (code & 63);
             int32_t cell[3];
-            cell_of(row, u, w, cell);
-            svo_polygon_slab(&s->column, row->w, w, &s->cell);
+            cell[row->u] = u;
+            cell[row->v] = row->at_v;
+            cell[row->w] = w;
             b->dirty[code >> 12] |= (uint64_t)1 << (code >> 6 & 63);
-            if (svo_facet_visible(s->r->shader, &s->facet, &s->cell, cell)) {
+            if (visible(s, cell)) {
                 svo_block_set(b, code);
                 b->complex[code >> 6] |= bit;
             } else {
@@ -106,11 +141,20 @@ static void mark_masked(void *user, const svo_raster_row *row)
             }
         }
     }
+    record_row(s, row);
 }
 
 static void mark_plain(void *user, const svo_raster_row *row) { svo_block_mark(((scan_state *)user)->w->block, row); }
-static void mark_flat(void *user, const svo_raster_row *row) { svo_block_mark_flat(((scan_state *)user)->w->block, row); }
-static void mark_shaded(void *user, const svo_raster_row *row) { svo_block_mark_shaded(((scan_state *)user)->w->block, row); }
+static void mark_flat(void *user, const svo_raster_row *row)
+{
+    svo_block_mark_flat(((scan_state *)user)->w->block, row);
+    record_row(user, row);
+}
+static void mark_shaded(void *user, const svo_raster_row *row)
+{
+    svo_block_mark_shaded(((scan_state *)user)->w->block, row);
+    record_row(user, row);
+}
 
 static void load_triangle(const scan_state *s, uint32_t triangle, svo_record *record)
 {
@@ -119,13 +163,14 @@ static void load_triangle(const scan_state *s, uint32_t triangle, svo_record *re
         for (int k = 0; k < 3; k++) record->q[c][k] -= s->corner_axis[k] * SVO_RASTER_UNIT;
 }
 
-static void load_facet(scan_state *s, uint32_t triangle, uint32_t group)
+static void load_facet(scan_state *s, uint32_t triangle, const svo_record *record)
 {
     double block[3] = {s->corner_axis[0], s->corner_axis[1], s->corner_axis[2]};
-    svo_facet_make(s->r->shader, group, triangle - s->r->placement.groups[group].first, block, &s->facet);
+    svo_facet_make(s->r->shader, record->group, triangle - s->r->placement.groups[record->group].first, block, (const int32_t(*)[3])record->q, &s->facet);
     s->whole.count = 3;
     memcpy(s->whole.at, s->facet.corner, sizeof s->facet.corner);
-    s->flat_ready = false;
+    s->flat_ready = s->flat_encoded = false;
+    s->moments = svo_facet_reads_textures(s->r->shader, &s->facet);
 }
 
 static void mark_voxels(scan_state *s, const int32_t box_lo[3], const int32_t box_hi[3])
@@ -137,98 +182,176 @@ static void mark_voxels(scan_state *s, const int32_t box_lo[3], const int32_t bo
     svo_raster_target targets[3];
     uint32_t target_count = thin ? 3 : 1;
     for (uint32_t t = 0; t < target_count; t++) targets[t] = thin ? svo_raster_centre_line(t) : svo_raster_cube();
+    /* The thin set is found with other scans than the surface in its voxels. */
+    svo_buffer *starts = &s->w->starts;
+    s->w->visits.size = starts->size = 0;
+    s->recording = r->shader != NULL && r->info->channel_count != 0 && !thin && count < MOST_VISITS && svo_buffer_reserve(starts, 4 * (count + 1));
     for (uint64_t i = 0; i < count; i++) {
         svo_record record;
         load_triangle(s, list[i], &record);
+        if (s->recording) {
+            uint32_t at = (uint32_t)(s->w->visits.size / 4);
+            memcpy(starts->data + 4 * i, &at, 4);
+        }
         svo_raster_row_fn fn = mark_plain;
         if (r->shader != NULL) {
             bool masks, flat = svo_facet_is_flat(r->shader, record.group, list[i] - r->placement.groups[record.group].first, &masks);
             /* In the thin set a voxel's surface may belong to triangles that did not mark it: average them all. */
             fn = flat && !thin ? mark_flat : mark_shaded;
             if (masks) {
-                load_facet(s, list[i], record.group);
+                load_facet(s, list[i], &record);
                 fn = mark_masked;
             }
         }
         for (uint32_t t = 0; t < target_count; t++)
             svo_raster_scan((const int32_t(*)[3])record.q, &targets[t], box_lo, box_hi, fn, s);
     }
+    if (s->recording) {
+        uint32_t end = (uint32_t)(s->w->visits.size / 4);
+        memcpy(starts->data + 4 * count, &end, 4);
+    }
 }
 
 /* --- a chunk's attributes ------------------------------------------------------------------------------------- */
 
-static void shade_row(void *user, const svo_raster_row *row)
+/* A function of a voxel that the triangle in hand meets and that exists. */
+typedef void (*voxel_fn)(scan_state *s, uint32_t voxel, uint32_t code);
+typedef struct row_visitor { scan_state *s; voxel_fn fn; } row_visitor;
+
+static void visit_row(void *user, const svo_raster_row *row)
 {
-    scan_state *s = user;
-    svo_block *b = s->w->block;
-    const svo_tree_info *info = s->r->info;
-    bool slab = false;
+    row_visitor *v = user;
+    const svo_block *b = v->s->w->block;
     for (int32_t u = row->u0; u <= row->u1; u++) {
-        bool column_cut = false;
         uint32_t column = svo_block_column(b, row, u);
         for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
             uint32_t code = column | b->spread[row->w][w];
-            uint64_t bit = (uint64_t)1 << (code & 63);
-            if (!(b->bricks[code >> 6] & bit)) continue; /* not in the thin set, or masked away */
-            if (!(b->complex[code >> 6] & bit)) {
-                if (!s->first_slice) continue;
-                if (!s->flat_ready) {
-                    int32_t cell[3] = {0, 0, 0};
-                    uint64_t sums[32] = {0};
-                    svo_facet_contribution(s->r->shader, &s->facet, &s->whole, cell, s->shift, &s->flat);
-                    s->flat.weight = s->flat.color_weight = 1;
-                    svo_shade_add(s->layout, &s->flat, sums);
-                    svo_shade_value(s->layout, sums, s->flat_values);
-                    s->flat_ready = true;
-                }
-                uint64_t index = svo_block_index(b, code);
-                for (uint32_t c = 0; c < info->channel_count; c++) {
-                    if (s->channels[c] == NULL || c == s->layout->material) continue;
-                    uint32_t stride = svo_channel_stride(info->channels[c].kind);
-                    memcpy(s->channels[c] + index * stride, s->flat_values[c], stride);
-                }
-                continue;
-            }
-            uint64_t index = svo_block_complex_index(b, code);
-            if (index < s->slice_begin || index >= s->slice_end) continue;
-            if (!slab) {
-                svo_polygon_slab(&s->whole, row->v, row->at_v, &s->slab);
-                slab = true;
-            }
-            if (!column_cut) {
-                svo_polygon_slab(&s->slab, row->u, u, &s->column);
-                column_cut = true;
-            }
-            svo_polygon_slab(&s->column, row->w, w, &s->cell);
-            int32_t cell[3];
-            cell_of(row, u, w, cell);
-            svo_contribution c;
-            if (svo_facet_contribution(s->r->shader, &s->facet, &s->cell, cell, s->shift, &c))
-                svo_shade_add(s->layout, &c, s->sums + (index - s->slice_begin) * s->layout->fields);
+            if (b->bricks[code >> 6] >> (code & 63) & 1) v->fn(v->s, packed(row, u, w), code); /* not: not in the thin set, or masked away */
         }
     }
 }
 
-/* Weight of one material in every voxel: sums[voxel index]. */
-static void weigh_row(void *user, const svo_raster_row *row)
+static inline void visit_voxels(scan_state *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], voxel_fn fn)
 {
-    scan_state *s = user;
-    svo_block *b = s->w->block;
-    svo_polygon_slab(&s->whole, row->v, row->at_v, &s->slab);
-    for (int32_t u = row->u0; u <= row->u1; u++) {
-        if (row->lo[u] > row->hi[u]) continue;
-        svo_polygon_slab(&s->slab, row->u, u, &s->column);
-        uint32_t column = svo_block_column(b, row, u);
-        for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
-            uint32_t code = column | b->spread[row->w][w];
-            if (!(b->bricks[code >> 6] >> (code & 63) & 1)) continue;
-            svo_polygon_slab(&s->column, row->w, w, &s->cell);
-            int32_t cell[3];
-            cell_of(row, u, w, cell);
-            uint64_t weight = svo_facet_weight(s->r->shader, &s->facet, &s->cell, cell, s->shift);
-            s->sums[svo_block_index(b, code)] += weight;
+    if (!s->recording) {
+        const svo_raster_target cube = svo_raster_cube();
+        row_visitor v = {s, fn};
+        svo_raster_scan((const int32_t(*)[3])record->q, &cube, box_lo, box_hi, visit_row, &v);
+        return;
+    }
+    const svo_block *b = s->w->block;
+    const uint32_t *starts = (const uint32_t *)(const void *)s->w->starts.data, *visits = (const uint32_t *)(const void *)s->w->visits.data;
+    for (uint32_t at = starts[i]; at < starts[i + 1]; at++) {
+        uint32_t code = code_of(b, visits[at]);
+        if (b->bricks[code >> 6] >> (code & 63) & 1) fn(s, visits[at], code);
+    }
+}
+
+/* Piece number `at` of the batch. */
+static void piece_of(const scan_state *s, uint32_t at, svo_piece *out)
+{
+    const svo_facet *t = &s->facet;
+    const svoi_clip_batch *b = &s->batch;
+    const uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
+    if (t->inside) {
+        svo_facet_piece(t, out);
+    } else if (t->clips) {
+        *out = (svo_piece){.area = (double)b->area[at]};
+        out->centre[i] = (double)b->cx[at];
+        out->centre[j] = (double)b->cy[at];
+        if (s->moments) out->xx = (double)b->xx[at], out->xy = (double)b->xy[at], out->yy = (double)b->yy[at];
+    } else { /* a segment or a point */
+        *out = (svo_piece){.area = 0};
+        out->centre[i] = (double)b->x[at] + 0.5;
+        out->centre[j] = (double)b->y[at] + 0.5;
+        out->centre[t->axis] = (double)b->z[at] + 0.5;
+    }
+}
+
+/* Put a voxel of the facet into the batch. False when alpha MASK leaves nothing of the facet there. */
+static inline bool collect(scan_state *s, uint32_t voxel, uint64_t *target)
+{
+    const int32_t cell[3] = {(int32_t)(voxel & 255), (int32_t)(voxel >> 8 & 255), (int32_t)(voxel >> 16)};
+    if (s->facet.masks && !visible(s, cell)) return false;
+    static const uint8_t next[5] = {0, 1, 2, 0, 1};
+    uint32_t n = s->pending++;
+    s->batch.x[n] = (float)cell[next[s->facet.axis + 1]];
+    s->batch.y[n] = (float)cell[next[s->facet.axis + 2]];
+    s->batch.z[n] = (float)cell[s->facet.axis];
+    s->target[n] = target;
+    return true;
+}
+
+/* Add what waits to the sums. */
+static void flush(scan_state *s)
+{
+    if (s->pending == 0) return;
+    if (s->facet.clips) svoi_clip(&s->facet.clipper, &s->batch, s->pending, s->moments);
+    svo_piece piece;
+    for (uint32_t n = 0; n < s->pending; n++) {
+        piece_of(s, n, &piece);
+        if (s->facet.flat) {
+            if (!s->flat_ready) svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &s->flat);
+            s->flat_ready = true;
+            svo_contribution c = s->flat;
+            svo_contribution_weigh(&c, svo_piece_weight(&piece, s->shift));
+            svo_shade_add(s->layout, &c, s->target[n]);
+        } else {
+            svo_contribution c;
+            svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &c);
+            svo_shade_add(s->layout, &c, s->target[n]);
         }
     }
+    s->pending = 0;
+}
+
+/* The same for a material's weight alone. */
+static void flush_weights(scan_state *s)
+{
+    if (s->pending == 0) return;
+    if (s->facet.clips) svoi_clip(&s->facet.clipper, &s->batch, s->pending, false);
+    svo_piece piece;
+    for (uint32_t n = 0; n < s->pending; n++) {
+        piece_of(s, n, &piece);
+        *s->target[n] += svo_piece_weight(&piece, s->shift);
+    }
+    s->pending = 0;
+}
+
+static void write_values(scan_state *s, uint64_t index, uint8_t (*values)[SVO_MAX_STRIDE])
+{
+    for (uint32_t k = 0; k < s->written_count; k++) {
+        uint32_t c = s->written[k];
+        memcpy(s->channels[c] + index * s->stride[c], values[c], s->stride[c]);
+    }
+}
+
+static inline void shade_voxel(scan_state *s, uint32_t voxel, uint32_t code)
+{
+    svo_block *b = s->w->block;
+    if (b->complex[code >> 6] >> (code & 63) & 1) {
+        uint64_t index = svo_block_complex_index(b, code);
+        if (index < s->slice_begin || index >= s->slice_end) return;
+        if (collect(s, voxel, s->sums + (index - s->slice_begin) * s->layout->fields) && s->pending == SVOI_CLIP_BATCH) flush(s);
+    } else if (s->first_slice) {
+        if (!s->flat_encoded) {
+            uint64_t sums[32] = {0};
+            svo_piece piece;
+            svo_contribution c;
+            svo_facet_piece(&s->facet, &piece);
+            svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &c);
+            svo_contribution_weigh(&c, 1);
+            svo_shade_add(s->layout, &c, sums);
+            svo_shade_value(s->layout, sums, s->flat_values);
+            s->flat_encoded = true;
+        }
+        write_values(s, svo_block_index(b, code), s->flat_values);
+    }
+}
+
+static inline void weigh_voxel(scan_state *s, uint32_t voxel, uint32_t code)
+{
+    if (collect(s, voxel, s->sums + svo_block_index(s->w->block, code)) && s->pending == SVOI_CLIP_BATCH) flush_weights(s);
 }
 
 static uint32_t label_of(const run *r, uint32_t group)
@@ -249,7 +372,6 @@ static bool shade_materials(scan_state *s, const int32_t box_lo[3], const int32_
     w->sums.size = 0;
     if (!svo_buffer_append(&w->ids, NULL, voxels * 8) || !svo_buffer_append(&w->sums, NULL, voxels * 8)) return false;
     uint64_t *best = (uint64_t *)(void *)w->ids.data, *sums = (uint64_t *)(void *)w->sums.data;
-    const svo_raster_target cube = svo_raster_cube();
     for (uint32_t next = 0;;) {
         uint32_t label = UINT32_MAX; /* smallest label >= next */
         for (uint64_t i = 0; i < count; i++) {
@@ -265,8 +387,10 @@ static bool shade_materials(scan_state *s, const int32_t box_lo[3], const int32_
             svo_record record;
             load_triangle(s, list[i], &record);
             if (label_of(r, record.group) != label) continue;
-            load_facet(s, list[i], record.group);
-            svo_raster_scan((const int32_t(*)[3])record.q, &cube, box_lo, box_hi, weigh_row, s);
+            load_facet(s, list[i], &record);
+            s->moments = false;
+            visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
+            flush_weights(s);
         }
         for (uint64_t v = 0; v < voxels; v++)
             if (sums[v] > best[v]) {
@@ -282,7 +406,6 @@ static bool shade_materials(scan_state *s, const int32_t box_lo[3], const int32_
 static void write_slice(scan_state *s)
 {
     svo_block *b = s->w->block;
-    const svo_tree_info *info = s->r->info;
     uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
     memset(values, 0, sizeof values);
     for (uint32_t i = 0; i < 512; i++)
@@ -292,12 +415,7 @@ static void write_slice(scan_state *s)
             for (uint64_t bits = b->complex[brick]; bits != 0; bits &= bits - 1, index++) {
                 if (index < s->slice_begin || index >= s->slice_end) continue;
                 svo_shade_value(s->layout, s->sums + (index - s->slice_begin) * s->layout->fields, values);
-                uint64_t at = svo_block_index(b, brick * 64 + (uint32_t)__builtin_ctzll(bits));
-                for (uint32_t c = 0; c < info->channel_count; c++) {
-                    if (s->channels[c] == NULL || c == s->layout->material) continue;
-                    uint32_t stride = svo_channel_stride(info->channels[c].kind);
-                    memcpy(s->channels[c] + at * stride, values[c], stride);
-                }
+                write_values(s, svo_block_index(b, brick * 64 + (uint32_t)__builtin_ctzll(bits)), values);
             }
         }
 }
@@ -318,16 +436,18 @@ static bool shade(scan_state *s, const int32_t box_lo[3], const int32_t box_hi[3
     w->values.size = 0;
     if (!svo_buffer_append(&w->values, NULL, bytes)) return false;
     bytes = 0;
+    s->written_count = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) {
         s->channels[c] = NULL;
         if (r->info->channels[c].constant) continue;
+        s->stride[c] = svo_channel_stride(r->info->channels[c].kind);
+        if (c != s->layout->material) s->written[s->written_count++] = c;
         s->channels[c] = w->values.data + bytes;
         bytes += voxels * svo_channel_stride(r->info->channels[c].kind);
     }
     uint8_t flat_values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
     memset(flat_values, 0, sizeof flat_values);
     s->flat_values = flat_values;
-    const svo_raster_target cube = svo_raster_cube();
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += SLICE_VOXELS) {
@@ -339,8 +459,9 @@ static bool shade(scan_state *s, const int32_t box_lo[3], const int32_t box_hi[3
         for (uint64_t i = 0; i < count; i++) {
             svo_record record;
             load_triangle(s, list[i], &record);
-            load_facet(s, list[i], record.group);
-            svo_raster_scan((const int32_t(*)[3])record.q, &cube, box_lo, box_hi, shade_row, s);
+            load_facet(s, list[i], &record);
+            visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
+            flush(s);
         }
         write_slice(s);
         s->first_slice = false;
@@ -381,6 +502,8 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
         svo_buffer_init(&w->sums, r->allocator);
         svo_buffer_init(&w->values, r->allocator);
         svo_buffer_init(&w->ids, r->allocator);
+        svo_buffer_init(&w->visits, r->allocator);
+        svo_buffer_init(&w->starts, r->allocator);
     }
     scan_state s = {.r = r, .w = w, .it = it};
     uint32_t x, y, z;
@@ -527,6 +650,8 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_buffer_free(&w->sums);
         svo_buffer_free(&w->values);
         svo_buffer_free(&w->ids);
+        svo_buffer_free(&w->visits);
+        svo_buffer_free(&w->starts);
         svo_free(r->allocator, w->block, 1, sizeof *w->block);
     }
     svo_shader_free(r->shader);

@@ -180,6 +180,7 @@ static void compare(sheet *sh, uint32_t depth, tolerance allowed, const char *wh
                 for (int i = 0; i < 3; i++)
                     expected[i] = svo_linear_to_srgb((float)(emissive ? r->emissive[i] / r->samples : r->color[i] / r->color_weight));
                 double d = delta(expected, value);
+                if (!emissive && r->color_weight < 0.02 * r->samples) continue; /* nearly invisible: any colour will do */
                 color_sum += emissive ? 0 : d;
                 color_max = fmax(color_max, d);
             } else if (kind == SVO_KIND_NORMAL_OCT32) {
@@ -211,7 +212,7 @@ TEST(vertex_colours_and_normals)
         sheet s;
         sheet_make(&s, depth == 3 ? 40 : 7, 1);
         s.materials[0].roughness = 0.3f;
-        compare(&s, depth, (tolerance){0.5, 2.5, 1.5, 1}, depth == 3 ? "small triangles" : "vertex colours");
+        compare(&s, depth, (tolerance){0.05, 1, 0.3, 0.8}, depth == 3 ? "small triangles" : "vertex colours");
         sheet_free(&s);
     }
 }
@@ -232,7 +233,7 @@ TEST(two_materials_share_voxels)
     s.parts[1].indices += 3 * 501;
     s.m.shape.part_count = 2;
     s.m.shape.parts = s.parts;
-    for (uint32_t depth = 3; depth <= 5 && !test_failed(); depth++) compare(&s, depth, (tolerance){0.3, 3, 1.5, 4}, "two materials");
+    for (uint32_t depth = 3; depth <= 5 && !test_failed(); depth++) compare(&s, depth, (tolerance){0.02, 2.5, 0.3, 4}, "two materials");
     sheet_free(&s);
 }
 
@@ -254,7 +255,7 @@ TEST(textures_are_filtered)
             m->alpha_mode = SVO_ALPHA_BLEND;
             m->opacity_texture.image = 1;
         }
-        compare(&s, 4 + (uint32_t)(k % 3), (tolerance){1.3, 16, 1.5, 14}, k % 3 == 2 ? "smooth texture, blended" : "smooth texture");
+        compare(&s, 4 + (uint32_t)(k % 3), (tolerance){0.7, 9, 0.3, 5}, k % 3 == 2 ? "smooth texture, blended" : "smooth texture");
         sheet_free(&s);
     }
 }
@@ -268,7 +269,7 @@ TEST(noise_is_averaged_not_picked)
     s.m.part.colors = NULL;
     sheet_image(&s, 512, 512, 7, false);
     s.materials[0].base_color_texture.image = 0;
-    for (uint32_t depth = 3; depth <= 5 && !test_failed(); depth++) compare(&s, depth, (tolerance){2.5, 12, 1.5, 1}, "noise");
+    for (uint32_t depth = 3; depth <= 5 && !test_failed(); depth++) compare(&s, depth, (tolerance){1.8, 16, 0.3, 0.1}, "noise");
     sheet_free(&s);
 }
 
