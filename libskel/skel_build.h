@@ -22,7 +22,7 @@ typedef enum skel_method {
 
 typedef enum skel_normalize {
     SKEL_NORMALIZE_BALL = 0, /* unit = diameter of the smallest enclosing ball / 1.15: does not change under rotation */
-    SKEL_NORMALIZE_BOX = 1   /* unit = longest side of the axis-aligned box (seed 5.5, FitToBox) */
+    SKEL_NORMALIZE_BOX = 1   /* unit = longest side of the axis-aligned box (Willcocks 2013, 5.5, FitToBox) */
 } skel_normalize;
 
 /* Ball search. Both give the same sums, bit for bit (skel_radius.h). */

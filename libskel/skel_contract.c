@@ -1,4 +1,4 @@
-/* Contraction (seed 5.4, 5.5): every sweep moves each vertex to m + beta (s - m), where m is the mean of the vertices within omega
+/* Contraction (Willcocks 2013, sections 5.4, 5.5): every sweep moves each vertex to m + beta (s - m), where m is the mean of the vertices within omega
  * (5.4.2, over G, the ball), s the mean of its one-ring (5.4.1) and beta = a / rho its one-ring area now over that at the start
  * (5.4.4), clamped to [0, 1]; rho = 0 gives beta = 0. All of a sweep reads the positions before it (Jacobi), and between sweeps positions are
  * whole lattice steps, so that sums are exact and no thread count or search structure changes the result.
@@ -14,6 +14,7 @@
 
 enum {
     STILL_SWEEPS = 8,      /* that must be quiet in a row */
+    DENSE_BALL = 200,      /* vertices a ball of radius omega that are welded before the first sweep */
     FIRST_INTERVAL = 5,    /* sweeps between welds */
     LAST_INTERVAL = 40,
     SETTLED_AFTER = 150,   /* sweeps without a weld after which any vertex may be damped */
@@ -284,12 +285,23 @@ static double thinness_error(const skeli_soup *mesh, const skeli_state *s)
     return before > 0 ? 100 * after / before : 0;
 }
 
+/* The cost of a sweep grows with the vertices times those in a ball, so input that is much denser than omega (a scan, a fan
+ * of 100k triangles) is welded before the first sweep. Groups of the radius omega tell how many vertices a ball holds. */
+static svo_result weld_dense(contraction *c, svo_error *err)
+{
+    uint32_t balls, removed;
+    SVO_TRY(skeli_weld(c->options->allocator, c->s->position, c->s->count, NULL, c->omega, c->s->label, &balls, err));
+    if (c->s->count / DENSE_BALL < balls) return SVO_OK;
+    return weld_live(c, &removed, err);
+}
+
 static svo_result run(contraction *c, skel_report *report, svo_error *err)
 {
     const skel_options *o = c->options;
     uint64_t limit = o->max_iterations != 0 ? o->max_iterations : 6000, last_weld = 0, last_removal = 0;
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
     movement m = {0, 0};
+    if (c->fast) SVO_TRY(weld_dense(c, err));
     for (uint64_t it = 1; it <= limit && !report->converged; it++) {
         c->merged_lately = it - last_removal <= SETTLED_AFTER;
         SVO_TRY(sweep(c, &m, err));

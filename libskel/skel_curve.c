@@ -1,4 +1,4 @@
-/* From the contracted vertices to joints and bones (seed 5.5, Postprocessing), with the clean-up that the seed leaves out: what is
+/* From the contracted vertices to joints and bones (Willcocks 2013, section 5.5, Postprocessing), with the clean-up that the text leaves out: what is
  * still a triangle after the weld becomes one joint, and corners of it that lead nowhere are folded into it. */
 #include "skeli_internal.h"
 

@@ -50,7 +50,7 @@ struct query {
 
 svo_result search(void *user, uint64_t begin, uint64_t end, uint32_t, svo_error *err)
 {
-    return svo::guard(err, [&] {
+    return svo_guard(err, [&] {
         const query &q = *static_cast<const query *>(user);
         flann::SearchParams parameters(flann::FLANN_CHECKS_UNLIMITED, 0.0f, false);
         for (uint64_t i = begin; i < end; i++) {
@@ -67,7 +67,7 @@ svo_result search(void *user, uint64_t begin, uint64_t end, uint32_t, svo_error 
 extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, uint64_t count, double radius,
                                         uint32_t threads, skel_ball_sum *out, svo_error *err)
 {
-    return svo::guard(err, [&] {
+    return svo_guard(err, [&] {
         if (count == 0) return SVO_OK;
         if (count > INT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu points are too many for the radius search", static_cast<unsigned long long>(count));
         std::vector<float> floats(3 * count);

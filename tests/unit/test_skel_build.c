@@ -225,6 +225,44 @@ TEST(many_coincident_vertices_on_a_tube)
     shape_free(&plain);
 }
 
+/* Much finer than omega: welded before the first sweep, which must not change what the curve says. */
+TEST(dense_input_gives_the_curve_of_a_coarse_one)
+{
+    shape coarse = shape_torus(1, 0.2, 90, 20), dense = shape_torus(1, 0.2, 900, 200);
+    skel_options o = options(0.06);
+    skel_skeleton a, b;
+    CHECK_OK(shape_skeleton(&coarse, &o, &a, &err));
+    CHECK_OK(shape_skeleton(&dense, &o, &b, &err));
+    check_sane(&b);
+    CHECK(b.report.converged);
+    CHECK_U64(b.report.components, 1);
+    CHECK_U64(b.report.loops, a.report.loops);
+    CHECK_U64(b.report.ends, a.report.ends);
+    double omega = 0.06 * b.report.unit; /* in the mesh's units */
+    CHECK_MSG(shape_curves_apart(&a, &b) < omega, "%g apart, omega is %g", shape_curves_apart(&a, &b), omega);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&coarse);
+    shape_free(&dense);
+}
+
+/* 20,000 triangles at one vertex: without the weld a sweep visits hundreds of millions of pairs. */
+TEST(fan_at_one_vertex)
+{
+    shape m = {0};
+    const int n = 20000;
+    uint32_t centre = shape_point(&m, 0, 0.3, 0);
+    for (int i = 0; i < n; i++) shape_point(&m, cos(2 * 3.14159265358979 * i / n), 0, sin(2 * 3.14159265358979 * i / n));
+    for (int i = 0; i < n; i++) shape_triangle(&m, centre, centre + 1 + (uint32_t)i, centre + 1 + (uint32_t)((i + 1) % n));
+    skel_options o = options(0.2);
+    skel_skeleton s;
+    CHECK_OK(shape_skeleton(&m, &o, &s, &err));
+    check_sane(&s);
+    CHECK_U64(s.report.components, 1);
+    skel_skeleton_free(&s);
+    shape_free(&m);
+}
+
 TEST(needles)
 {
     shape m = shape_tube(4, 0.25, 40, 12);
