@@ -57,16 +57,9 @@ static void measure_row(void *user, const svo_raster_row *row)
     }
 }
 
-void svo_block_distances(const svo_block *block, const svo_bins *bins, const svo_placement *placement, const svo_grid *grid,
-                         const uint32_t *list, uint64_t count, const int32_t corner[3], int32_t block_size, uint64_t choice, svo_distances *out)
+static void cube_distances(const svo_block *block, const svo_bins *bins, const svo_placement *placement, const svo_grid *grid,
+                           const uint32_t *list, uint64_t count, const int32_t corner[3], int32_t block_size, uint32_t word, svo_distances *out)
 {
-    *out = (svo_distances){0};
-    uint32_t cubes = 0, word = 512;
-    for (uint32_t i = 0; i < 512; i++) cubes += block->used[i] != 0;
-    if (cubes == 0) return;
-    uint64_t skip = choice % cubes;
-    for (uint32_t i = 0; i < 512 && word == 512; i++)
-        if (block->used[i] != 0 && skip-- == 0) word = i;
     uint32_t x, y, z;
     svo_morton_decode(word, &x, &y, &z);
     const int32_t size = block_size < 16 ? block_size : 16;
@@ -100,5 +93,21 @@ void svo_block_distances(const svo_block *block, const svo_bins *bins, const svo
         out->count++;
         out->sum += m.nearest[i];
         if (m.nearest[i] > out->most) out->most = m.nearest[i];
+    }
+}
+
+void svo_block_distances(const svo_block *block, const svo_bins *bins, const svo_placement *placement, const svo_grid *grid,
+                         const uint32_t *list, uint64_t count, const int32_t corner[3], int32_t block_size, uint64_t choice,
+                         uint32_t samples, svo_distances *out)
+{
+    *out = (svo_distances){0};
+    uint16_t cubes[512];
+    uint32_t cube_count = 0;
+    for (uint32_t i = 0; i < 512; i++)
+        if (block->used[i] != 0) cubes[cube_count++] = (uint16_t)i;
+    if (samples > cube_count) samples = cube_count;
+    for (uint32_t i = 0; i < samples; i++) { /* evenly spread, from a place that `choice` says */
+        uint32_t at = (uint32_t)((choice % cube_count + (uint64_t)i * cube_count / samples) % cube_count);
+        cube_distances(block, bins, placement, grid, list, count, corner, block_size, cubes[at], out);
     }
 }

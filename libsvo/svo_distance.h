@@ -17,11 +17,12 @@ typedef struct svo_distances {
     double sum, most;
 } svo_distances;
 
-/* Every marked voxel of one cube of 16^3 in the block (chosen by `choice` among those that are not empty): distance of its
+/* Every marked voxel of `samples` cubes of 16^3 in the block (spread from `choice` over those that are not empty): distance of its
  * centre from the nearest of the triangles in the list that meet the voxel, before the snap, in voxels. `corner` is the
  * block's low corner in voxels, `block_size` its edge. */
 void svo_block_distances(const svo_block *block, const svo_bins *bins, const svo_placement *placement, const svo_grid *grid,
-                         const uint32_t *list, uint64_t count, const int32_t corner[3], int32_t block_size, uint64_t choice, svo_distances *out);
+                         const uint32_t *list, uint64_t count, const int32_t corner[3], int32_t block_size, uint64_t choice,
+                         uint32_t samples, svo_distances *out);
 
 #ifdef __cplusplus
 }

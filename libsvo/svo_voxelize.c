@@ -525,11 +525,12 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
             }
     if (result == SVO_OK && it->counts.nodes[7] != 0) {
         if (r->shader != NULL && r->info->channel_count != 0 && !shade(&s, box_lo, box_hi)) result = out_of_memory(err);
-        /* The sample: in every chunk of a small octree, in one of eight of a large one, and in the first. */
+        /* The sample: in every chunk of a small octree (more of it where there are few chunks), in one of eight of a large one, and in the
+         * first. */
         uint64_t choice = (it->code + 1) * 0x9e3779b97f4a7c15u >> 32;
         if (it->first || r->info->depth <= 9 || choice % 8 == 0)
             svo_block_distances(w->block, r->bins, &r->placement, &r->grid, (const uint32_t *)(const void *)it->list.data, it->list.size / 4,
-                                s.corner_axis, last + 1, choice / 8, &it->distances);
+                                s.corner_axis, last + 1, choice / 8, r->info->depth <= 8 ? 16 : 1, &it->distances);
         if (result == SVO_OK) {
             /* A grid smaller than the block lies in its low corner: drop the nodes above. */
             uint32_t skip = SVO_CHUNK_LEVELS - levels;
