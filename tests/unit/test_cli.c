@@ -88,9 +88,10 @@ static void run_to(const char *line, const char *stdout_path)
     for (char *w = strtok(words, " "); w != NULL; w = strtok(NULL, " ")) argv[argc++] = strcmp(w, "''") == 0 ? (char *)"" : w;
     int out = memfd_create("out", 0), err = memfd_create("err", 0);
     fflush(NULL);
+    const char *folder = test_folder(); /* before the fork: a child's own would not be removed */
     pid_t child = fork();
     if (child == 0) {
-        if (chdir(test_folder()) != 0) _exit(99);
+        if (chdir(folder) != 0) _exit(99);
         dup2(stdout_path != NULL ? open(stdout_path, O_WRONLY) : out, 1);
         dup2(err, 2);
         int code = tool_main(argc, argv);
