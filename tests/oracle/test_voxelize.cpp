@@ -8,6 +8,7 @@
 #include <cmath>
 #include <vector>
 
+#include "fmt_import.h"
 #include "svo_bin.h"
 #include "svo_raster.h"
 #include "voxel_set.h"
@@ -157,6 +158,46 @@ void both(const std::vector<double> &v, uint32_t depth, const char *what)
 {
     check_mesh(v, depth, SVO_SURFACE_CONSERVATIVE, what);
     if (!test_failed()) check_mesh(v, depth, SVO_SURFACE_THIN, what);
+}
+
+// The placed triangles of a model as the importer gives them.
+std::vector<double> model_triangles(const char *path)
+{
+    std::vector<double> v;
+    svo_mesh mesh;
+    svo_error err = {};
+    fmt_import_options o = {};
+    o.skip_images = true;
+    if (fmt_import_mesh(path, &o, &mesh, &err) != SVO_OK) return v;
+    for (uint32_t i = 0; i < mesh.instance_count; i++) {
+        const svo_shape &shape = mesh.shapes[mesh.instances[i].shape];
+        for (uint32_t p = 0; p < shape.part_count; p++)
+            for (uint64_t c = 0; c < 3 * shape.parts[p].triangle_count; c++) {
+                const double *q = shape.parts[p].positions + 3 * uint64_t(shape.parts[p].indices[c]);
+                svo_vec3 w = svo_mat4_point(&mesh.instances[i].transform, svo_v3(q[0], q[1], q[2]));
+                corner(v, w.x, w.y, w.z);
+            }
+    }
+    svo_mesh_free(&mesh);
+    return v;
+}
+
+TEST(real_models)
+{
+    const char *const models[] = {"C_textured/spot_cow/spot_triangulated.obj", "B_damaged/boeing/boeing.off", "B_damaged/busted/busted.STL",
+                                  "B_damaged/many_small_holes/many_small_holes.ply"};
+    for (const char *name : models) {
+        const char *path = test_model(name);
+        if (path == nullptr) {
+            test_skip("%s is not there (SVOKIT_MODELS)", name);
+            return;
+        }
+        std::vector<double> v = model_triangles(path);
+        CHECK_MSG(v.size() > 9 * 1000, "%s: %zu triangles", name, v.size() / 9);
+        check_mesh(v, 5, SVO_SURFACE_CONSERVATIVE, name);
+        if (!test_failed()) check_mesh(v, 4, SVO_SURFACE_THIN, name);
+        if (test_failed()) return;
+    }
 }
 
 TEST(random_triangles_of_all_sizes)
