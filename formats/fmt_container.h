@@ -63,6 +63,8 @@ svo_result fmt_chunk_fail(svo_error *err, svo_result code, uint32_t type, uint64
 
 /* --- writing: strictly sequential, so pipes get the same bytes as files --- */
 typedef struct fmt_writer fmt_writer;
+/* Write the header of a file of `kind` to `out`, which is borrowed and must outlive *writer. SVO_IO or
+ * SVO_OUT_OF_MEMORY. End with fmt_writer_end or fmt_writer_discard; one thread at a time. */
 svo_result fmt_writer_begin(fmt_output *out, fmt_kind kind, uint16_t major, uint16_t minor, fmt_writer **writer, svo_error *err);
 /* Fills offset and hash of *chunk and writes header and payload. `stored` are the bytes as they go into the file,
  * already compressed if codec says so. type, flags, codec, stored_size, decoded_size, element_*, id are the caller's. */

@@ -56,6 +56,8 @@ typedef struct svo_scene_hit {
 void svo_scene_trace(const svo_bvh *bvh, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits);
 bool svo_scene_blocked(const svo_bvh *bvh, const svo_scene_ray *ray);
 
+/* What a hit's item number stands for: the instance as placed, and its octree. item < the number of placed instances;
+ * both belong to the hierarchy (the view to its scene). */
 const svo_placed *svo_bvh_item(const svo_bvh *bvh, uint32_t item);
 const svo_view *svo_bvh_view(const svo_bvh *bvh, uint32_t item);
 /* The ray in the grid of an item, as it is traced there. */

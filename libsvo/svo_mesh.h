@@ -113,6 +113,7 @@ typedef struct svo_mesh_counts {
     uint64_t placed_triangles;                /* with instances */
     uint64_t bytes;                           /* of all arrays and images */
 } svo_mesh_counts;
+/* Counted in time linear in parts and instances; names and the structs themselves are not in `bytes`. */
 svo_mesh_counts svo_mesh_count(const svo_mesh *mesh);
 
 /* Bounds of all instances of finite triangles, corner by corner; false when there is none. */
