@@ -1,0 +1,91 @@
+/* Between the two halves of the voxelizer: svo_voxelize.c marks voxels and runs the pipeline, svo_voxelize_shade.c gives the marked
+ * voxels of a chunk their attributes. */
+#ifndef SVOI_VOXELIZE_H
+#define SVOI_VOXELIZE_H
+
+#include "svo_bin.h"
+#include "svo_block.h"
+#include "svo_distance.h"
+#include "svo_raster.h"
+#include "svo_shade.h"
+#include "svo_voxelize.h"
+
+enum { SVOI_MAX_WORKERS = 256 };
+
+/* Scratch of a worker. */
+typedef struct svoi_worker {
+    svo_block *block;
+    svo_buffer masks, sums, values, ids;
+    svo_buffer visits, starts; /* packed voxels that each triangle meets (uint32_t), and where each triangle's begin */
+} svoi_worker;
+
+typedef struct svoi_run {
+    const svo_tree_info *info;
+    const svo_chunk_sink *sink;
+    const svo_allocator *allocator;
+    svo_voxelize_report *report;
+    svo_grid grid;
+    svo_placement placement;
+    svo_bins *bins;
+    svo_shader *shader; /* NULL without channels that vary */
+    bool masks;         /* some material cuts voxels away, so shading is asked first */
+    svoi_worker workers[SVOI_MAX_WORKERS];
+    bool started, has_previous;
+    uint64_t previous;
+} svoi_run;
+
+/* One chunk on its way through the pipeline. */
+typedef struct svoi_item {
+    uint64_t code;
+    svo_buffer list; /* uint32_t triangle numbers */
+    void *blob;
+    bool has_blob, first;
+    svo_block_counts counts;
+    uint64_t masked;
+    svo_distances distances; /* of one small cube in it, chosen by its code */
+    svoi_run *owner; /* set once the slot has been used */
+} svoi_item;
+
+/* What the row functions need about the triangle in hand. */
+typedef struct svoi_scan {
+    svoi_run *r;
+    svoi_worker *w;
+    svoi_item *it;
+    svo_facet facet;
+    svo_polygon whole; /* the facet */
+    bool recording; /* visits of all triangles so far are in the worker's buffers */
+    int32_t corner_axis[3];
+    const svo_shade_layout *layout;
+    uint32_t shift;
+    uint64_t slice_begin, slice_end; /* complex voxels averaged now */
+    bool first_slice;
+    uint8_t (*flat_values)[SVO_MAX_STRIDE]; /* of a flat facet, encoded when first used */
+    bool flat_ready, flat_encoded, moments;
+    svo_contribution flat;
+    uint32_t pending; /* voxels of the facet that wait for their area */
+    uint64_t *target[SVOI_CLIP_BATCH];
+    svoi_clip_batch batch;
+    uint8_t *channels[SVO_MAX_CHANNELS];
+    uint32_t written[SVO_MAX_CHANNELS], written_count, stride[SVO_MAX_CHANNELS]; /* channels that are averaged */
+    uint64_t *sums;
+} svoi_scan;
+
+/* A voxel of the block in 32 bits. */
+static inline uint32_t svoi_packed(const svo_raster_row *row, int32_t u, int32_t w)
+{
+    return (uint32_t)u << 8 * row->u | (uint32_t)row->at_v << 8 * row->v | (uint32_t)w << 8 * row->w;
+}
+static inline uint32_t svoi_code_of(const svo_block *b, uint32_t voxel)
+{
+    return b->spread[0][voxel & 255] | b->spread[1][voxel >> 8 & 255] | b->spread[2][voxel >> 16];
+}
+/* A triangle of the list, relative to the block; the triangle in hand made ready (its record's q as svoi_load_triangle gives it). */
+void svoi_load_triangle(const svoi_scan *s, uint32_t triangle, svo_record *record);
+void svoi_load_facet(svoi_scan *s, uint32_t triangle, const svo_record *record);
+/* Does alpha MASK leave something of the facet in a voxel? */
+bool svoi_visible(svoi_scan *s, const int32_t cell[3]);
+
+/* Give the voxels of the worker's block (after svo_block_emit) their values, in s->channels. False when out of memory. */
+bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3]);
+
+#endif
