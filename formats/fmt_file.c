@@ -14,6 +14,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "fmt_spill.h"
 #include "fmti_cleanup.h"
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
@@ -51,19 +52,6 @@ static svo_result io_fail(svo_error *err, const char *path, const char *what, in
 static svo_result exists_fail(svo_error *err, const char *path)
 {
     return svo_fail(err, SVO_IO, "%s exists already; give --force to replace it", path);
-}
-
-/* Folder of a path: everything up to the last '/', or ".". */
-static void folder_of(const char *path, char *folder)
-{
-    const char *slash = strrchr(path, '/');
-    if (slash == NULL) {
-        memcpy(folder, ".", 2);
-        return;
-    }
-    size_t n = slash == path ? 1 : (size_t)(slash - path);
-    memcpy(folder, path, n);
-    folder[n] = 0;
 }
 
 /* A name beside the target that nothing has yet; the number of attempts is bounded. `use` is called with it until it
@@ -114,7 +102,7 @@ static svo_result open_target(fmt_output *o, const char *path, svo_error *err)
         return exists_fail(err, path);
     }
     char folder[PATH_MAX];
-    folder_of(o->path, folder);
+    fmt_folder_of(o->path, folder, sizeof folder);
     if (access(folder, F_OK) != 0) return svo_fail(err, SVO_IO, "%s: the folder %s does not exist", path, folder);
     o->fd = -1;
 #ifdef O_TMPFILE

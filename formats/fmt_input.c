@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
@@ -95,22 +94,6 @@ svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_alloca
     if (fd != STDIN_FILENO) close(fd);
     if (r == SVO_OK) *out = b;
     return r;
-}
-
-svo_result fmt_scratch_file(int *fd, svo_error *err)
-{
-    const char *folder = getenv("TMPDIR");
-    if (folder == NULL || folder[0] == 0) folder = "/tmp";
-#ifdef O_TMPFILE
-    *fd = open(folder, O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-    if (*fd >= 0) return SVO_OK;
-#endif
-    char name[4096];
-    if (snprintf(name, sizeof name, "%s/svokit-XXXXXX", folder) >= (int)sizeof name) return svo_fail(err, SVO_IO, "TMPDIR is too long");
-    *fd = mkostemp(name, O_CLOEXEC);
-    if (*fd < 0) return svo_fail(err, SVO_IO, "cannot create a temporary file in %s (TMPDIR): %s", folder, strerror(errno));
-    unlink(name);
-    return SVO_OK;
 }
 
 /* Copy what is left of `from` to `to`. */
