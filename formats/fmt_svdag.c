@@ -12,7 +12,8 @@
 #define ADIR FMT_FOURCC('A', 'D', 'I', 'R')
 #define APAY FMT_FOURCC('A', 'P', 'A', 'Y')
 
-enum { HEAD_FIXED = 336, RECORD = 48, LAYOUT_PLAIN = 1, NODE_HEAD = 4 /* words */ };
+enum { HEAD_FIXED = 336, RECORD = 48, NODE_HEAD = 4 /* words */ };
+enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2 };
 
 static const uint32_t known[] = {HEAD, NODE, BRCK, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
 enum { KNOWN = sizeof known / sizeof known[0] };
@@ -30,11 +31,11 @@ static size_t store_head(const svo_view *v, uint8_t *b)
 {
     memset(b, 0, HEAD_FIXED + RECORD * SVO_MAX_CHANNELS);
     fmt_store32(b, v->depth);
-    fmt_store32(b + 4, LAYOUT_PLAIN);
+    fmt_store32(b + 4, (uint32_t)v->layout);
     b[8] = (uint8_t)v->surface;
     b[9] = (uint8_t)v->fill;
     fmt_store16(b + 10, (uint16_t)v->channel_count);
-    fmt_store32(b + 12, v->lod ? 1 : 0);
+    fmt_store32(b + 12, (v->lod ? FLAG_LOD : 0) | (v->unnumbered ? FLAG_UNNUMBERED : 0));
     for (int i = 0; i < 16; i++) store_f64(b + 16 + 8 * i, v->voxel_to_world[i]);
     fmt_store64(b + 144, v->attribute_count);
     fmt_store32(b + 152, v->root);
@@ -157,9 +158,9 @@ static svo_result parse_head(reader *r, svo_view *v)
     SVO_TRY(take(r, HEAD, 0, 0, &chunk, &b));
     if (chunk->stored_size < HEAD_FIXED || chunk->element_stride != 0 || chunk->element_count != 0) return bad(r, chunk, "HEAD is too short (DAG-02)");
     uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
-    if (layout != LAYOUT_PLAIN)
+    if (layout != SVO_LAYOUT_PLAIN)
         return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
-    if ((flags & ~1u) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
+    if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
     svo_tree_info info;
     memset(&info, 0, sizeof info);
     info.depth = fmt_load32(b);
@@ -181,7 +182,9 @@ static svo_result parse_head(reader *r, svo_view *v)
     v->depth = info.depth;
     v->tree_depth = info.depth < 2 ? 2 : info.depth;
     v->brick_level = v->tree_depth - 2;
-    v->lod = (flags & 1) != 0;
+    v->layout = (svo_layout)layout;
+    v->lod = (flags & FLAG_LOD) != 0;
+    v->unnumbered = (flags & FLAG_UNNUMBERED) != 0;
     v->root = fmt_load32(b + 152);
     v->attribute_count = fmt_load64(b + 144);
     v->empty = fmt_load64(b + 160) == 0;

@@ -357,8 +357,19 @@ svo_chunk_sink svo_dag_builder_sink(svo_dag_builder *b)
 
 /* --- finish ------------------------------------------------------------------------------------------------------ */
 
+/* Does a channel have more than one value? */
+static bool varies(const svoi_values *v)
+{
+    for (uint64_t i = 1; i < v->count; i++)
+        if (memcmp(svoi_values_at(v, i), svoi_values_at(v, 0), v->stride) != 0) return true;
+    return false;
+}
+
 static void fill_view(const svo_dag_builder *b, svo_view *v)
 {
+    v->layout = SVO_LAYOUT_PLAIN;
+    v->unnumbered = true;
+    for (uint32_t i = 0; i < b->info.channel_count; i++) v->unnumbered = v->unnumbered && !varies(&b->values[i]);
     v->depth = b->info.depth;
     v->tree_depth = b->tree_depth;
     v->brick_level = b->brick_level;
@@ -395,8 +406,9 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
     if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "attributes");
     double geometry = svo_seconds();
     report->seconds_geometry = geometry - read;
-    for (uint32_t l = 0; l < b->brick_level; l++) report->geometry_bytes += p->words[l].size;
-    report->geometry_bytes += p->bricks.size;
+    svo_view_section parts[SVO_VIEW_SECTIONS];
+    uint32_t part_count = svo_view_sections(&p->view, parts);
+    for (uint32_t i = 0; i < part_count; i++) report->geometry_bytes += parts[i].bytes;
     for (uint32_t i = 0; i < b->info.channel_count; i++) {
         memcpy(report->channels[i].name, b->info.channels[i].name, sizeof report->channels[i].name);
         SVO_TRY(svoi_pack_channel(p, i, &b->values[i], &b->options, &report->channels[i], err));

@@ -3,9 +3,12 @@
 
 #include "svoi_dag.h"
 
-/* Last offset of each node, which is its largest, decides whether the level needs 64 bits. */
-static uint32_t offset_words(const svoi_nodes *n, const uint64_t *child_size, const uint64_t *bricks, bool lod)
+/* 0 where nothing is numbered. The last offset of each node, which is its largest, decides whether the level needs 64 bits. */
+static uint32_t offset_words(const svo_view *v, const svoi_nodes *n, const uint64_t *child_size)
 {
+    const uint64_t *bricks = v->bricks;
+    bool lod = v->lod;
+    if (v->unnumbered) return 0;
     for (uint64_t i = 0; i < n->count; i++) {
         const uint32_t *item = n->items + n->start[i];
         uint32_t last = item[__builtin_popcount(item[0])];
@@ -25,7 +28,7 @@ static void emit_node(uint32_t *w, const uint32_t *item, uint32_t ow, const uint
     for (uint32_t j = 0; j < k; j++) {
         uint32_t ref = item[1 + j];
         w[1 + j] = child_position != NULL ? child_position[ref] : ref;
-        if (j != 0) {
+        if (j != 0 && ow != 0) {
             *o++ = (uint32_t)offset;
             if (ow == 2) *o++ = (uint32_t)(offset >> 32);
         }
@@ -40,7 +43,7 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
     const svo_allocator *a = &p->memory.base;
     svo_view_level *l = &p->view.levels[level];
     const uint64_t *bricks = p->view.bricks;
-    uint32_t ow = offset_words(n, child_size, bricks, p->view.lod);
+    uint32_t ow = offset_words(&p->view, n, child_size);
     uint64_t words = 0;
     uint32_t *at = svo_alloc(a, n->count, sizeof *at);
     if (at == NULL) return svoi_no_memory(p, "geometry", err);
@@ -68,6 +71,7 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
 svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, svo_error *err)
 {
     const svo_allocator *a = &p->memory.base;
+    p->view.layout = SVO_LAYOUT_PLAIN;
     svo_buffer_init(&p->bricks, a);
     if (!svo_buffer_reserve(&p->bricks, (size_t)bricks->count * 8)) return svoi_no_memory(p, "geometry", err);
     memcpy(p->bricks.data, bricks->bits, (size_t)bricks->count * 8);

@@ -215,22 +215,13 @@ static int compare_views(const svo_view *a, const svo_view *b)
     int c;
     COMPARE(a->depth, b->depth);
     COMPARE(a->attribute_count, b->attribute_count);
-    COMPARE(a->brick_count, b->brick_count);
     COMPARE(a->channel_count, b->channel_count);
     COMPARE(a->lod, b->lod);
     COMPARE(a->surface, b->surface);
     COMPARE(a->fill, b->fill);
-    COMPARE(a->root, b->root);
     if ((c = memcmp(a->nodes, b->nodes, sizeof a->nodes)) != 0) return c;
     for (int i = 0; i < 16; i++) COMPARE(a->voxel_to_world[i], b->voxel_to_world[i]);
-    for (uint32_t l = 0; l < a->brick_level; l++) {
-        COMPARE(a->levels[l].word_count, b->levels[l].word_count);
-        COMPARE(a->levels[l].node_count, b->levels[l].node_count);
-        COMPARE(a->levels[l].offset_words, b->levels[l].offset_words);
-    }
-    if ((c = compare_bytes(a->bricks, b->bricks, a->brick_count * 8)) != 0) return c;
-    for (uint32_t l = 0; l < a->brick_level; l++)
-        if ((c = compare_bytes(a->levels[l].words, b->levels[l].words, a->levels[l].word_count * 4)) != 0) return c;
+    if ((c = svo_view_compare_geometry(a, b)) != 0) return c;
     for (uint32_t i = 0; i < a->channel_count; i++)
         if ((c = compare_channels(a, &a->channels[i], &b->channels[i])) != 0) return c;
     return 0;

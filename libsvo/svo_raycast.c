@@ -200,6 +200,23 @@ static bool walk_brick_lod(const line *l, uint64_t brick, const int32_t p[3], do
     return false;
 }
 
+/* The same as svo_view_mask and svo_view_child, without attributes. */
+typedef struct spot {
+    uint32_t at, mask;
+} spot;
+
+INLINE spot plain_spot(const svo_view *v, uint32_t level, uint32_t at)
+{
+    spot s = {at, v->levels[level].words[at]}; /* the mask with the full leaves above it */
+    return s;
+}
+
+INLINE uint32_t plain_child(const svo_view *v, uint32_t level, spot s, uint32_t octant)
+{
+    uint32_t stored = s.mask & ~(s.mask >> 8) & ((1u << octant) - 1);
+    return v->levels[level].words[s.at + 1 + (uint32_t)__builtin_popcount(stored)];
+}
+
 /* First node met. `lod` is a constant of the two callers. */
 INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
 {
@@ -207,16 +224,15 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
     const bool stop_brick = v->depth >= 2, stop_octant = v->depth >= 1; /* levels above the root of a small octree are virtual */
     const uint32_t negative = l->negative;
     const double ox = l->o[0], oy = l->o[1], oz = l->o[2], ix = l->inv[0], iy = l->inv[1], iz = l->inv[2];
-    uint32_t stack[SVO_MAX_DEPTH];
-    uint32_t level = 0, ref = v->root, octant = 0; /* the node, and the child that is the current cell */
+    spot stack[SVO_MAX_DEPTH], node = {0, 0};
+    uint32_t level = 0, octant = 0; /* the node, and the child that is the current cell */
     int32_t size = (int32_t)1 << tree_depth, p[3] = {0, 0, 0};
     double out[3]; /* far planes of the cell */
     for (int k = 0; k < 3; k++) out[k] = far_plane(l, k, 0, size);
     double enter = cell_enter(l, p, size), t = enter > l->t_min ? enter : l->t_min;
     if (!(t < least(out[0], out[1], out[2]) && t <= l->t_max)) return false;
     bool filled = true; /* the root fills its cell */
-    uint32_t child = ref, child_level = 0;
-    const uint32_t *words = NULL;
+    uint32_t child = v->root, child_level = 0;
 
     for (;;) {
         if (filled) {
@@ -241,9 +257,9 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
                 if (brick_level == 0) return false;
             } else {
                 /* go down: the child that holds the ray at t */
-                if (child_level != 0) stack[level] = ref;
-                level = child_level, ref = child;
-                words = v->levels[level].words;
+                if (child_level != 0) stack[level] = node;
+                level = child_level;
+                node = plain_spot(v, level, child);
                 size >>= 1;
                 double cx = ((double)(p[0] + size) - ox) * ix, cy = ((double)(p[1] + size) - oy) * iy,
                        cz = ((double)(p[2] + size) - oz) * iz;
@@ -270,17 +286,15 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
         if (cell != size) {
             size = cell;
             level = tree_depth - 1 - top;
-            ref = stack[level];
-            words = v->levels[level].words;
+            node = stack[level];
             for (int k = 0; k < 3; k++) p[k] &= -size;
         }
         octant = ((uint32_t)p[0] >> top & 1) | ((uint32_t)p[1] >> top & 1) << 1 | ((uint32_t)p[2] >> top & 1) << 2;
         for (int k = 0; k < 3; k++) out[k] = far_plane(l, k, p[k], size);
     look:;
-        uint32_t mask = words[ref] & 0xff;
-        filled = mask >> octant & 1;
+        filled = node.mask >> octant & 1;
         child_level = level + 1;
-        if (filled) child = words[ref + 1 + (uint32_t)__builtin_popcount(mask & ((1u << octant) - 1))];
+        if (filled) child = plain_child(v, level, node, octant);
     }
 }
 
@@ -301,16 +315,17 @@ bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
 /* Attribute index of a node that is known to exist. */
 static uint64_t attribute_of(const svo_view *v, const place *at)
 {
-    svo_view_node node = {v->root, 0};
+    if (v->unnumbered) return 0;
+    svo_view_node node = svo_view_root(v);
     uint32_t bit = v->tree_depth - 1, level = 0;
     uint32_t x = (uint32_t)at->corner[0], y = (uint32_t)at->corner[1], z = (uint32_t)at->corner[2];
     for (; level < v->brick_level && level < at->tree_level; level++, bit--)
         node = svo_view_child(v, level, node, (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2);
     if (level == at->tree_level) return node.attribute;
-    uint64_t brick = v->bricks[node.ref];
+    uint64_t brick = svo_view_brick(v, node);
     uint32_t a = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2, b = (x & 1) | (y & 1) << 1 | (z & 1) << 2;
-    if (at->tree_level == v->tree_depth) return svo_brick_voxel(v->lod, brick, node.attribute, 8 * a + b);
-    return svo_brick_octant(v->lod, brick, node.attribute, a);
+    if (at->tree_level == v->tree_depth) return svo_view_brick_voxel(v, node, brick, 8 * a + b);
+    return svo_view_brick_octant(v, node, brick, a);
 }
 
 void svo_raycast(const svo_view *view, const svo_ray *rays, uint32_t count, svo_hit *hits)

@@ -59,10 +59,6 @@ typedef struct svo_scene_one {
 } svo_scene_one;
 svo_result svo_scene_single(const svo_view *view, const char *name, const svo_allocator *a, svo_scene_one *storage, svo_error *err);
 
-/* Grid coordinates of the finest voxels' bounding box: cells low..high, both inclusive; false in *any for an empty octree.
- * Exact; time and scratch are linear in the stored nodes. */
-svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool *any, uint32_t low[3], uint32_t high[3], svo_error *err);
-
 /* Bounds of the image of a box under an affine matrix, widened by `ulps` units in the last place of the sizes involved.
  * With 16 they hold every mapped point of the box in spite of rounding; 0 gives the plain values. Not finite (infinite
  * or NaN) where the image overflows. */

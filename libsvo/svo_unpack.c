@@ -29,12 +29,12 @@ static bool next_root(svo_unpack *u, place *out)
     if (v->empty) return false;
     if (!u->started) {
         u->started = true;
-        u->node[0] = (svo_view_node){v->root, 0};
+        u->node[0] = svo_view_root(v);
         if (cut == 0) {
             *out = (place){0, u->node[0]};
             return true;
         }
-        u->left[0] = svo_view_mask(v, 0, v->root);
+        u->left[0] = svo_view_mask(v, 0, u->node[0]);
     } else if (cut == 0) {
         return false;
     }
@@ -54,7 +54,7 @@ static bool next_root(svo_unpack *u, place *out)
         u->code = u->code << 3 | octant;
         u->level++;
         u->node[u->level] = child;
-        u->left[u->level] = svo_view_mask(v, u->level, child.ref);
+        u->left[u->level] = svo_view_mask(v, u->level, child);
     }
 }
 
@@ -85,14 +85,14 @@ static uint64_t brick_masks(uint64_t brick, uint8_t *to)
 }
 
 /* Child masks of the subtree in depth-first preorder; returns their number. */
-static uint64_t collect_masks(const svo_view *v, uint32_t level, uint32_t root, uint8_t *to)
+static uint64_t collect_masks(const svo_view *v, uint32_t level, svo_view_node root, uint8_t *to)
 {
-    uint32_t ref[SVO_CHUNK_LEVELS + 1];
+    svo_view_node node[SVO_CHUNK_LEVELS + 1];
     uint8_t left[SVO_CHUNK_LEVELS + 1];
     uint32_t l = 0, bricks = v->brick_level - level; /* level of the bricks, counted from the chunk's root */
     uint64_t n = 0;
-    if (bricks == 0) return brick_masks(v->bricks[root], to);
-    ref[0] = root;
+    if (bricks == 0) return brick_masks(svo_view_brick(v, root), to);
+    node[0] = root;
     to[n++] = left[0] = svo_view_mask(v, level, root);
     for (;;) {
         while (left[l] == 0) {
@@ -101,13 +101,13 @@ static uint64_t collect_masks(const svo_view *v, uint32_t level, uint32_t root, 
         }
         uint32_t octant = (uint32_t)__builtin_ctz(left[l]);
         left[l] &= (uint8_t)(left[l] - 1);
-        svo_view_node child = svo_view_child(v, level + l, (svo_view_node){ref[l], 0}, octant);
+        svo_view_node child = svo_view_child(v, level + l, node[l], octant);
         if (l + 1 == bricks) {
-            n += brick_masks(v->bricks[child.ref], to + n);
+            n += brick_masks(svo_view_brick(v, child), to + n);
             continue;
         }
-        ref[++l] = child.ref;
-        to[n++] = left[l] = svo_view_mask(v, level + l, child.ref);
+        node[++l] = child;
+        to[n++] = left[l] = svo_view_mask(v, level + l, child);
     }
 }
 
@@ -150,14 +150,14 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     svo_chunk c = {.code = p.code, .level = level, .depth = v->depth};
     uint64_t index = p.node.attribute;
     if (v->depth == 0) {
-        index = svo_brick_voxel(v->lod, v->bricks[p.node.ref], index, 0);
+        index = svo_view_brick_voxel(v, p.node, svo_view_brick(v, p.node), 0);
         c.voxel_count = 1;
     } else if (v->depth == 1) { /* the octree is the brick's first octant */
-        storage->data[0] = (uint8_t)v->bricks[p.node.ref];
-        index = svo_brick_octant(v->lod, v->bricks[p.node.ref], index, 0);
+        storage->data[0] = (uint8_t)svo_view_brick(v, p.node);
+        index = svo_view_brick_octant(v, p.node, svo_view_brick(v, p.node), 0);
         c.node_count = 1;
     } else {
-        c.node_count = collect_masks(v, level, p.node.ref, storage->data);
+        c.node_count = collect_masks(v, level, p.node, storage->data);
     }
     /* Voxels: children of the last level's masks. */
     uint32_t levels = v->depth - level, l = 0;

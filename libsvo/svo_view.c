@@ -11,7 +11,7 @@ void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uin
 {
     const svo_view_channel *c = &v->channels[channel];
     uint32_t stride = svo_channel_stride(c->channel.kind);
-    SVO_ASSERT(channel < v->channel_count && index < v->attribute_count);
+    SVO_ASSERT(channel < v->channel_count && (index < v->attribute_count || v->unnumbered));
     switch (c->encoding) {
     case SVO_ENCODING_CONSTANT: memcpy(out, c->channel.value, stride); break;
     case SVO_ENCODING_RAW: memcpy(out, c->raw + index * stride, stride); break;
@@ -34,17 +34,17 @@ bool svo_view_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint6
 {
     SVO_ASSERT(x >> v->depth == 0 && y >> v->depth == 0 && z >> v->depth == 0);
     if (v->empty) return false;
-    svo_view_node n = {v->root, 0};
+    svo_view_node n = svo_view_root(v);
     for (uint32_t level = 0; level < v->brick_level; level++) {
         uint32_t bit = v->tree_depth - 1 - level;
         uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2;
-        if (!(svo_view_mask(v, level, n.ref) >> octant & 1)) return false;
+        if (!(svo_view_mask(v, level, n) >> octant & 1)) return false;
         n = svo_view_child(v, level, n, octant);
     }
     uint32_t b = (uint32_t)svo_morton_encode(x & 3, y & 3, z & 3);
-    uint64_t brick = v->bricks[n.ref];
+    uint64_t brick = svo_view_brick(v, n);
     if (!(brick >> b & 1)) return false;
-    if (index != NULL) *index = svo_brick_voxel(v->lod, brick, n.attribute, b);
+    if (index != NULL) *index = svo_view_brick_voxel(v, n, brick, b);
     return true;
 }
 
@@ -53,16 +53,16 @@ bool svo_view_voxels(const svo_view *v, svo_view_voxel_fn fn, void *user)
     if (v->empty) return true;
     struct { svo_view_node node; uint64_t code; uint32_t left; } stack[SVO_MAX_DEPTH]; /* left: children not yet visited */
     uint32_t level = 0;
-    stack[0].node = (svo_view_node){v->root, 0};
+    stack[0].node = svo_view_root(v);
     stack[0].code = 0;
-    stack[0].left = v->brick_level != 0 ? svo_view_mask(v, 0, v->root) : 0;
+    stack[0].left = v->brick_level != 0 ? svo_view_mask(v, 0, stack[0].node) : 0;
     for (;;) {
         if (level == v->brick_level) {
-            uint64_t brick = v->bricks[stack[level].node.ref];
+            uint64_t brick = svo_view_brick(v, stack[level].node);
             for (uint64_t m = brick; m != 0; m &= m - 1) {
                 uint32_t b = (uint32_t)__builtin_ctzll(m), x, y, z;
                 svo_morton_decode(stack[level].code << 6 | b, &x, &y, &z);
-                if (!fn(user, x, y, z, svo_brick_voxel(v->lod, brick, stack[level].node.attribute, b))) return false;
+                if (!fn(user, x, y, z, svo_view_brick_voxel(v, stack[level].node, brick, b))) return false;
             }
             if (level == 0) return true;
             level--;
@@ -76,6 +76,48 @@ bool svo_view_voxels(const svo_view *v, svo_view_voxel_fn fn, void *user)
         stack[level + 1].node = svo_view_child(v, level, stack[level].node, octant);
         stack[level + 1].code = stack[level].code << 3 | octant;
         level++;
-        if (level < v->brick_level) stack[level].left = svo_view_mask(v, level, stack[level].node.ref);
+        if (level < v->brick_level) stack[level].left = svo_view_mask(v, level, stack[level].node);
     }
+}
+
+/* --- stored geometry --------------------------------------------------------------------------------------------- */
+
+uint64_t svo_view_stored(const svo_view *v, uint32_t level)
+{
+    SVO_ASSERT(level <= v->brick_level);
+    if (v->empty) return 0;
+    return level == v->brick_level ? v->brick_count : v->levels[level].node_count;
+}
+
+uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECTIONS])
+{
+    uint32_t n = 0;
+    if (v->empty) return 0;
+    for (uint32_t l = 0; l < v->brick_level; l++) out[n++] = (svo_view_section){"NODE", l, 4 * v->levels[l].word_count};
+    out[n++] = (svo_view_section){"BRCK", v->brick_level, 8 * v->brick_count};
+    return n;
+}
+
+#define COMPARE(x, y) \
+    if ((x) != (y)) return (x) < (y) ? -1 : 1
+
+int svo_view_compare_geometry(const svo_view *a, const svo_view *b)
+{
+    int c = 0;
+    COMPARE(a->layout, b->layout);
+    COMPARE(a->empty, b->empty);
+    if (a->empty) return 0;
+    COMPARE(a->tree_depth, b->tree_depth);
+    COMPARE(a->brick_count, b->brick_count);
+    COMPARE(a->root, b->root);
+    COMPARE(a->unnumbered, b->unnumbered);
+    for (uint32_t l = 0; l < a->brick_level; l++) {
+        COMPARE(a->levels[l].word_count, b->levels[l].word_count);
+        COMPARE(a->levels[l].node_count, b->levels[l].node_count);
+        COMPARE(a->levels[l].offset_words, b->levels[l].offset_words);
+    }
+    if ((c = memcmp(a->bricks, b->bricks, (size_t)a->brick_count * 8)) != 0) return c;
+    for (uint32_t l = 0; l < a->brick_level && c == 0; l++)
+        c = memcmp(a->levels[l].words, b->levels[l].words, (size_t)a->levels[l].word_count * 4);
+    return c;
 }

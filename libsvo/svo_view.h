@@ -3,17 +3,26 @@
  * Geometry, layout 1 ("plain"). Let T = max(depth, 2). Levels 0 .. T-3 are arrays of 32-bit words holding nodes; level
  * T-2 is an array of 64-bit bricks, each a 4x4x4 block of finest voxels whose bit 8a+b is child b of octant a (Morton
  * order). A node at word w of its level is
- *     words[w]                      bits 0..7 child mask, other bits 0
- *     words[w+1 .. w+k]             k = popcount(mask) references, in octant order, each a word index of a node of
- *                                   the next level, or a brick index when the next level is T-2
- *     words[w+1+k ..]               k-1 attribute offsets of children 1..k-1, each offset_words words (little end first)
+ *     words[w]                      bits 0..7 child mask; bits 8..15 which of these children are full leaves (reserved:
+ *                                   0 in every file so far); other bits 0
+ *     words[w+1 .. w+r]             r references, one for each child that is no full leaf, in octant order: a word index of
+ *                                   a node of the next level, or a brick index when the next level is T-2
+ *     words[w+1+r ..]               k-1 attribute offsets of children 1..k-1 of k = popcount(mask), each offset_words
+ *                                   words (little end first); none when attributes are not numbered
  * Identical subtrees are stored once. A reference goes to the next level only, so there are no cycles.
  * An octree of depth < 2 lies in the low corner of a tree of depth 2; the levels above its root are virtual.
  *
- * Attributes are numbered by the stored depth-first order (Dado et al. 2016, section 2.4.1). With lod, every
- * node counts: a node at index i has its first child at i + 1. Without, only finest voxels count and the first child
- * is at i. The offset of a later child is its index minus its parent's. Inside a brick the same rule holds (brick,
- * octant, voxels) and the offsets follow from bit counts: svo_brick_octant, svo_brick_voxel. */
+ * Everything else reads a packed octree through svo_view_root, svo_view_mask, svo_view_child and svo_view_brick, which hide
+ * the layout. A full leaf stands for a whole subtree of finest voxels that have one attribute together; the accessors show
+ * it as if it were expanded, and svo_view_full tells.
+ *
+ * Attributes are numbered in depth-first order of the octree (Dado et al. 2016, section 2.4.1), children in the order of
+ * their octants in the grid: also where a layout stores subtrees mirrored or turned, so that the index of a node is the
+ * same in every layout and so are the attributes as they are stored. (Sizes of subtrees do not change under symmetry, so
+ * prefix sums over them do in any order.) With lod, every node counts: a node at index i has its first child at i + 1.
+ * Without, only finest voxels count and the first child is at i. The offset of a later child is its index minus its
+ * parent's. Inside a brick the same rule holds (brick, octant, voxels) and the offsets follow from bit counts:
+ * svo_brick_octant, svo_brick_voxel. Where no channel varies, nothing is numbered and no index means anything. */
 #ifndef SVO_VIEW_H
 #define SVO_VIEW_H
 
@@ -24,10 +33,12 @@
 extern "C" {
 #endif
 
+typedef enum svo_layout { SVO_LAYOUT_PLAIN = 1 } svo_layout;
+
 typedef struct svo_view_level {
     const uint32_t *words;
     uint64_t word_count, node_count;
-    uint32_t offset_words; /* 1 or 2 */
+    uint32_t offset_words; /* 1 or 2; 0 when attributes are not numbered */
 } svo_view_level;
 
 /* How a channel's values are stored. */
@@ -56,6 +67,9 @@ typedef struct svo_view {
     uint32_t brick_level; /* T - 2 */
     bool empty;           /* no voxel: everything below is zero */
     bool lod;             /* inner nodes have attributes */
+    bool unnumbered;      /* no channel varies, so that attributes have no numbers: every index is 0 */
+    svo_layout layout;
+    /* layout plain */
     uint32_t root;        /* word index in level 0, or brick index when brick_level == 0 */
     svo_view_level levels[SVO_MAX_DEPTH]; /* levels 0 .. brick_level - 1 */
     const uint64_t *bricks;
@@ -69,29 +83,54 @@ typedef struct svo_view {
     svo_view_channel channels[SVO_MAX_CHANNELS];
 } svo_view;
 
+/* A node, or a brick where the level is brick_level. */
 typedef struct svo_view_node {
-    uint32_t ref;       /* word index (level < brick_level) or brick index */
+    uint64_t at;        /* where it is stored; what this means is the layout's business */
     uint64_t attribute; /* index of the node itself with lod, of its first finest voxel without */
+    uint32_t symmetry;  /* takes the frame in which it is stored to the world's: 0 (none) in layout plain */
+    bool full;          /* inside a full leaf: every finest voxel is there, and all have this one attribute */
 } svo_view_node;
 
-static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, uint32_t ref)
+/* The root of an octree that is not empty. */
+static inline svo_view_node svo_view_root(const svo_view *v)
 {
-    return (uint8_t)v->levels[level].words[ref];
+    svo_view_node n = {v->root, 0, 0, false};
+    return n;
+}
+
+/* Non-empty children of a node above the bricks. */
+static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, svo_view_node node)
+{
+    return node.full ? 0xff : (uint8_t)v->levels[level].words[node.at];
+}
+
+/* Those of its children that are full leaves. */
+static inline uint8_t svo_view_full(const svo_view *v, uint32_t level, svo_view_node node)
+{
+    return node.full ? 0xff : (uint8_t)(v->levels[level].words[node.at] >> 8);
 }
 
 /* Child of a node above the bricks. `octant` must be in its mask. */
 static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant)
 {
+    if (node.full) return node;
     const svo_view_level *l = &v->levels[level];
-    const uint32_t *w = l->words + node.ref;
-    uint32_t mask = w[0] & 0xffu;
-    uint32_t k = (uint32_t)__builtin_popcount(mask), slot = (uint32_t)__builtin_popcount(mask & ((1u << octant) - 1));
-    svo_view_node child;
-    child.ref = w[1 + slot];
-    if (slot == 0) child.attribute = node.attribute + (v->lod ? 1 : 0);
-    else if (l->offset_words == 1) child.attribute = node.attribute + w[1 + k + slot - 1];
-    else child.attribute = node.attribute + (w[1 + k + 2 * (slot - 1)] | (uint64_t)w[2 + k + 2 * (slot - 1)] << 32);
+    const uint32_t *w = l->words + node.at;
+    uint32_t mask = w[0] & 0xffu, full = w[0] >> 8, stored = mask & ~full, below = (1u << octant) - 1;
+    uint32_t r = (uint32_t)__builtin_popcount(stored), slot = (uint32_t)__builtin_popcount(mask & below);
+    svo_view_node child = {0, node.attribute, 0, (full >> octant & 1) != 0};
+    if (!child.full) child.at = w[1 + (uint32_t)__builtin_popcount(stored & below)];
+    if (l->offset_words == 0) return child;
+    if (slot == 0) child.attribute += v->lod ? 1 : 0;
+    else if (l->offset_words == 1) child.attribute += w[1 + r + slot - 1];
+    else child.attribute += w[1 + r + 2 * (slot - 1)] | (uint64_t)w[2 + r + 2 * (slot - 1)] << 32;
     return child;
+}
+
+/* The 4x4x4 block of a node at brick_level. */
+static inline uint64_t svo_view_brick(const svo_view *v, svo_view_node node)
+{
+    return node.full ? ~(uint64_t)0 : v->bricks[node.at];
 }
 
 /* Bit 8a set for every octant a of the brick that is not empty. */
@@ -122,6 +161,34 @@ static inline uint64_t svo_brick_voxel(bool lod, uint64_t brick, uint64_t i, uin
     if (lod) i += 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(brick) & (((uint64_t)2 << (8 * (b / 8))) - 1));
     return i;
 }
+
+/* The same for a node at brick_level and the brick it holds, whatever the numbering. */
+static inline uint64_t svo_view_brick_octant(const svo_view *v, svo_view_node node, uint64_t brick, uint32_t a)
+{
+    return node.full || v->unnumbered ? node.attribute : svo_brick_octant(v->lod, brick, node.attribute, a);
+}
+static inline uint64_t svo_view_brick_voxel(const svo_view *v, svo_view_node node, uint64_t brick, uint32_t b)
+{
+    return node.full || v->unnumbered ? node.attribute : svo_brick_voxel(v->lod, brick, node.attribute, b);
+}
+
+/* Nodes (bricks) of a level 0..brick_level as they are stored. */
+uint64_t svo_view_stored(const svo_view *v, uint32_t level);
+
+/* The parts of the stored geometry: returns their number. */
+typedef struct svo_view_section {
+    char type[5];   /* of the file's chunk */
+    uint32_t level; /* SVO_MAX_DEPTH + 1: of no level in particular */
+    uint64_t bytes;
+} svo_view_section;
+enum { SVO_VIEW_SECTIONS = SVO_MAX_DEPTH + 8 };
+uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECTIONS]);
+
+/* A total order of stored geometries (not of the voxels that they describe): 0 when they are the same bytes. */
+int svo_view_compare_geometry(const svo_view *a, const svo_view *b);
+
+/* Smallest box of finest voxels, both ends inclusive; *any is false for an empty octree. Linear in the stored nodes. */
+svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool *any, uint32_t low[3], uint32_t high[3], svo_error *err);
 
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);

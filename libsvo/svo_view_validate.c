@@ -33,7 +33,8 @@ static svo_result find_starts(validate *c, uint32_t level)
 {
     const svo_view_level *l = &c->v->levels[level];
     starts *s = &c->level[level];
-    if (l->offset_words != 1 && l->offset_words != 2) return bad(c, "DAG-03", level, 0, "offsets have 1 or 2 words");
+    if (c->v->unnumbered ? l->offset_words != 0 : l->offset_words != 1 && l->offset_words != 2)
+        return bad(c, "DAG-03", level, 0, "offsets have 1 or 2 words, 0 where nothing is numbered");
     if (l->word_count == 0 || l->word_count > UINT32_MAX) return bad(c, "DAG-03", level, 0, "number of words out of range");
     s->words = l->word_count / 64 + 1;
     s->bit = svo_calloc(c->a, s->words, sizeof *s->bit);
@@ -108,7 +109,7 @@ static svo_result check_level(validate *c, uint32_t level)
             uint32_t ref = node[1 + j];
             if (above_bricks ? ref >= v->brick_count : !is_start(c, level + 1, ref))
                 return bad(c, "DAG-05", level, w, "a reference does not point to a node");
-            if (j != 0) {
+            if (j != 0 && l->offset_words != 0) {
                 uint64_t offset = *o++;
                 if (l->offset_words == 2) offset |= (uint64_t)*o++ << 32;
                 if (offset != size) return bad(c, "DAG-06", level, w, "an offset is not the size of the subtrees before it");
@@ -231,6 +232,9 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         v->channel_count > SVO_MAX_CHANNELS)
         return bad(&c, "DAG-02", 0, 0, "depth or number of channels out of range");
     svo_result r = SVO_OK;
+    if (v->layout != SVO_LAYOUT_PLAIN) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
+    for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
+        if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) return bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered");
     if (v->empty) {
         bool zero = v->attribute_count == 0 && v->brick_count == 0 && v->root == 0;
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) zero = zero && v->nodes[l] == 0;

@@ -77,13 +77,13 @@ static void put_stored(json_t *o, const svo_view *v)
 {
     json_t *levels = json_object_get(o, "levels");
     uint64_t stored = 0;
-    for (uint32_t l = 0; l < v->brick_level && l <= v->depth; l++) {
-        cli_put_u64(json_array_get(levels, l), "stored", v->levels[l].node_count);
-        stored += v->levels[l].node_count;
+    for (uint32_t l = 0; l <= v->brick_level; l++) {
+        uint64_t n = svo_view_stored(v, l);
+        if (l <= v->depth) cli_put_u64(json_array_get(levels, l), "stored", n);
+        if (l < v->brick_level) stored += n;
     }
-    if (v->brick_level <= v->depth) cli_put_u64(json_array_get(levels, v->brick_level), "stored", v->brick_count);
     cli_put_u64(o, "stored_nodes", stored);
-    cli_put_u64(o, "stored_bricks", v->brick_count);
+    cli_put_u64(o, "stored_bricks", svo_view_stored(v, v->brick_level));
 }
 
 static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)

@@ -76,8 +76,10 @@ static void add_section(json_t *sections, const char *type, int64_t number, cons
 static json_t *sections(const svo_view *v)
 {
     json_t *all = json_array();
-    for (uint32_t l = 0; l < v->brick_level && !v->empty; l++) add_section(all, "NODE", l, NULL, 4 * v->levels[l].word_count);
-    if (!v->empty) add_section(all, "BRCK", v->brick_level, NULL, 8 * v->brick_count);
+    svo_view_section parts[SVO_VIEW_SECTIONS];
+    uint32_t count = svo_view_sections(v, parts);
+    for (uint32_t i = 0; i < count; i++)
+        add_section(all, parts[i].type, parts[i].level <= SVO_MAX_DEPTH ? (int64_t)parts[i].level : -1, NULL, parts[i].bytes);
     for (uint32_t i = 0; i < v->channel_count; i++) {
         const svo_view_channel *c = &v->channels[i];
         uint32_t stride = svo_channel_stride(c->channel.kind);

@@ -1,7 +1,7 @@
 """A reader of .svdag written from docs/format/container.md, svo.md and svdag.md alone; it shares nothing with the C code.
 
     Svdag(path)           checks what it reads and raises ValueError where a rule is broken (hashes are not computed)
-    .nodes()              every node in stored order: (level, x, y, z, attribute index or None)
+    .nodes()              every node in order: (level, x, y, z, attribute index or None; 0 where nothing is numbered)
     .voxel(x, y, z)       attribute index of a finest voxel, or None
     .value(channel, i)    value of attribute i as bytes
 """
@@ -46,7 +46,7 @@ class Svdag:
             for level in range(self.T - 2):
                 body = self._take(b"NODE", level)
                 ow, zero, count = struct.unpack("<IIQ", body[:16])
-                need(ow in (1, 2) and zero == 0, "DAG-03")
+                need(ow in ((0,) if self.unnumbered else (1, 2)) and zero == 0, "DAG-03")
                 self.levels.append((ow, count, struct.unpack("<%dI" % (len(body) // 4 - 4), body[16:])))
             body = self._take(b"BRCK", 0)
             self.bricks = struct.unpack("<%dQ" % (len(body) // 8), body)
@@ -88,14 +88,15 @@ class Svdag:
 
     def _head(self, h):
         self.depth, layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
-        need(layout == 1 and flags in (0, 1) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
-        self.T, self.lod = max(self.depth, 2), flags == 1
+        need(layout == 1 and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
+        self.T, self.lod, self.unnumbered = max(self.depth, 2), flags & 1 == 1, flags & 2 == 2
         self.voxel_to_world = struct.unpack("<16d", h[16:144])
         self.A, self.root, zero = struct.unpack("<QII", h[144:160])
         self.level_nodes = struct.unpack("<22Q", h[160:336])
         need(zero == 0 and len(h) == 336 + 48 * channels, "DAG-02")
         self.empty = self.level_nodes[0] == 0
         self.channels = [Channel(h[336 + 48 * i:384 + 48 * i]) for i in range(channels)]
+        need(not self.unnumbered or all(c.encoding == 0 for c in self.channels), "DAG-06")
 
     # --- geometry ---
 
@@ -109,13 +110,17 @@ class Svdag:
             if not mask >> octant & 1:
                 continue
             offset = 1 if self.lod else 0
-            if slot:
+            if self.unnumbered:
+                offset = 0
+            elif slot:
                 at = ref + 1 + k + ow * (slot - 1)
                 offset = words[at] | (words[at + 1] << 32 if ow == 2 else 0)
             yield octant, words[ref + 1 + slot], index + offset
             slot += 1
 
     def _octant(self, brick, index, a):
+        if self.unnumbered:
+            return 0
         below = (1 << 8 * a) - 1
         index += ones(brick & below)
         if self.lod:
@@ -123,6 +128,8 @@ class Svdag:
         return index
 
     def _voxel(self, brick, index, b):
+        if self.unnumbered:
+            return 0
         index += ones(brick & (1 << b) - 1)
         if self.lod:
             index += 1 + sum(1 for o in range(b // 8 + 1) if brick >> 8 * o & 255)

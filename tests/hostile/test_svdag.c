@@ -15,8 +15,8 @@ static bool visit(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index
 {
     walk *w = user;
     uint64_t code = svo_morton_encode(x, y, z), found;
-    if ((x | y | z) >> w->v->depth != 0 || index >= w->v->attribute_count) w->sound = false;
-    if (w->voxels != 0 && (code <= w->last_code || index <= w->last_index)) w->sound = false;
+    if ((x | y | z) >> w->v->depth != 0 || (index >= w->v->attribute_count && !w->v->unnumbered)) w->sound = false;
+    if (w->voxels != 0 && (code <= w->last_code || (index <= w->last_index && !w->v->unnumbered))) w->sound = false;
     if (w->sound && (!svo_view_voxel(w->v, x, y, z, &found) || found != index)) w->sound = false;
     w->last_code = code;
     w->last_index = index;
@@ -118,7 +118,8 @@ TEST(each_rule)
         {C4("HEAD"), 0, 1, "DAG"},          /* depth 7: a level is missing */
         {C4("HEAD"), 4, 2, "DAG-01"},       /* layout 3 */
         {C4("HEAD"), 8, 7, "SVO-02"},       /* surface */
-        {C4("HEAD"), 12, 2, "DAG-02"},      /* unknown flag */
+        {C4("HEAD"), 12, 4, "DAG-02"},       /* unknown flag */
+        {C4("HEAD"), 12, 2, "DAG-06"},       /* channels vary, but nothing is numbered */
         {C4("HEAD"), 12, 1, "DAG-06"},      /* lod */
         {C4("HEAD"), 144, 1, "DAG"},        /* attributes */
         {C4("HEAD"), 152, 1, "DAG-05"},     /* root */

@@ -119,7 +119,7 @@ static uint32_t pack(packer *p, uint32_t level, uint64_t begin, uint64_t end, ui
     uint32_t node[24], count = 0;
     node[count++] = mask;
     for (uint32_t i = 0; i < k; i++) node[count++] = refs[i];
-    for (uint32_t i = 1; i < k; i++) {
+    for (uint32_t i = 1; i < k && !v->unnumbered; i++) {
         node[count++] = (uint32_t)offsets[i];
         if (v->levels[level].offset_words == 2) node[count++] = (uint32_t)(offsets[i] >> 32);
     }
@@ -128,6 +128,7 @@ static uint32_t pack(packer *p, uint32_t level, uint64_t begin, uint64_t end, ui
 
 static void begin_view(svo_view *v, uint32_t depth, bool lod, const double *voxel_to_world)
 {
+    v->layout = SVO_LAYOUT_PLAIN;
     v->depth = depth;
     v->tree_depth = depth < 2 ? 2 : depth;
     v->brick_level = v->tree_depth - 2;
@@ -143,7 +144,8 @@ svo_view *packer_make(uint32_t depth, const uint64_t *codes, uint64_t count, con
     p->options = options ? *options : none;
     svo_view *v = &p->view;
     begin_view(v, depth, p->options.lod, p->options.voxel_to_world);
-    for (uint32_t l = 0; l < v->brick_level; l++) v->levels[l].offset_words = p->options.offset_words == 2 ? 2 : 1;
+    v->unnumbered = p->options.unnumbered;
+    for (uint32_t l = 0; l < v->brick_level; l++) v->levels[l].offset_words = v->unnumbered ? 0 : p->options.offset_words == 2 ? 2 : 1;
     uint64_t *sorted = grow(NULL, count * 8), unique = 0, next = 0;
     if (count != 0) memcpy(sorted, codes, count * 8);
     qsort(sorted, count, 8, compare_codes);

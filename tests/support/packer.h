@@ -8,7 +8,7 @@
 typedef void (*packer_value_fn)(void *user, uint32_t channel, uint32_t x, uint32_t y, uint32_t z, uint8_t *out);
 
 typedef struct packer_options {
-    bool lod;
+    bool lod, unnumbered;
     bool share;            /* identical nodes once (a linear search, for small octrees) */
     uint32_t offset_words; /* 1 or 2; 0 = 1 */
     const double *voxel_to_world; /* NULL: identity */

@@ -11,7 +11,7 @@ typedef struct view_use { const svo_view *view; uint32_t left; } view_use;
 static inline void view_value(const svo_view *v, uint64_t index)
 {
     uint8_t value[64];
-    if (index >= v->attribute_count) fuzz_fail("attribute %llu of %llu", (unsigned long long)index, (unsigned long long)v->attribute_count);
+    if (index >= v->attribute_count && !v->unnumbered) fuzz_fail("attribute %llu of %llu", (unsigned long long)index, (unsigned long long)v->attribute_count);
     for (uint32_t c = 0; c < v->channel_count; c++) svo_view_attribute(v, c, index, value);
 }
 
