@@ -14,7 +14,8 @@
 
 enum {
     STILL_SWEEPS = 8,      /* that must be quiet in a row */
-    DENSE_BALL = 200,      /* vertices a ball of radius omega that are welded before the first sweep */
+    CLUSTER_BALL = 14,      /* vertices a ball of radius omega from which on connected ones are clustered before the first sweep */
+    DENSE_BALL = 200,      /* the same, for those that share no triangles */
     FIRST_INTERVAL = 5,    /* sweeps between welds */
     LAST_INTERVAL = 40,
     SETTLED_AFTER = 150,   /* sweeps without a weld after which any vertex may be damped */
@@ -285,14 +286,18 @@ static double thinness_error(const skeli_soup *mesh, const skeli_state *s)
     return before > 0 ? 100 * after / before : 0;
 }
 
-/* The cost of a sweep grows with the vertices times those in a ball, so input that is much denser than omega (a scan, a fan
- * of 100k triangles) is welded before the first sweep. Groups of the radius omega tell how many vertices a ball holds. */
+/* The cost of a sweep grows with the vertices times those in a ball, so input that is much denser than omega (a scan, a fan of 100k
+ * triangles) becomes connected clusters of omega/2 before the first sweep, each with the weight of its vertices. Groups of the radius omega
+ * tell how many vertices a ball holds. Triangles that share no vertices do not cluster: what is very dense even then is welded by distance. */
 static svo_result weld_dense(contraction *c, svo_error *err)
 {
+    skeli_state *s = c->s;
     uint32_t balls, removed;
-    SVO_TRY(skeli_weld(c->options->allocator, c->s->position, c->s->count, NULL, c->omega, c->s->label, &balls, err));
-    if (c->s->count / DENSE_BALL < balls) return SVO_OK;
-    return weld_live(c, &removed, err);
+    SVO_TRY(skeli_weld(c->options->allocator, s->position, s->count, NULL, c->omega, s->label, &balls, err));
+    if (s->count / CLUSTER_BALL < balls) return SVO_OK;
+    uint32_t clusters = skeli_cluster(s, c->omega / 2);
+    if (clusters < s->count) skeli_collapse(s, clusters);
+    return s->count / DENSE_BALL < balls ? SVO_OK : weld_live(c, &removed, err);
 }
 
 static svo_result run(contraction *c, skel_report *report, svo_error *err)

@@ -246,7 +246,26 @@ TEST(dense_input_gives_the_curve_of_a_coarse_one)
     shape_free(&dense);
 }
 
-/* 20,000 triangles at one vertex: without the weld a sweep visits hundreds of millions of pairs. */
+/* Two finely tessellated tubes whose skins are nearer to each other than clusters are wide: they are not connected, so no cluster spans both. */
+TEST(dense_neighbours_are_not_clustered_together)
+{
+    shape s = shape_tube(1, 0.05, 240, 64);
+    const uint32_t base = (uint32_t)s.points;
+    const uint64_t triangles = s.triangles;
+    for (uint32_t i = 0; i < base; i++) shape_point(&s, s.p[3 * i], s.p[3 * i + 1] + 0.105, s.p[3 * i + 2]);
+    for (uint64_t i = 0; i < triangles; i++) shape_triangle(&s, base + s.t[3 * i], base + s.t[3 * i + 1], base + s.t[3 * i + 2]);
+    skel_options o = options(0.03); /* clusters reach 0.015, the gap is 0.005 */
+    skel_skeleton k;
+    CHECK_OK(shape_skeleton(&s, &o, &k, &err));
+    check_sane(&k);
+    CHECK_U64(k.report.components, 2);
+    CHECK_U64(k.report.ends, 4);
+    CHECK_U64(k.report.loops, 0);
+    for (uint32_t i = 0; i < 2 * base; i++) CHECK((k.joints[k.map[i]].position[1] > 0.0525) == (i >= base));
+    skel_skeleton_free(&k);
+    shape_free(&s);
+}
+
 TEST(fan_at_one_vertex)
 {
     shape m = {0};
