@@ -632,3 +632,29 @@ void svo_shade_value(const svo_shade_layout *l, const uint64_t *sums, uint8_t va
     if (l->metallic < SVO_MAX_CHANNELS) values[l->metallic][0] = (uint8_t)((double)sums[l->sum_metallic] / weight * 255 + 0.5);
     if (l->roughness < SVO_MAX_CHANNELS) values[l->roughness][0] = (uint8_t)((double)sums[l->sum_roughness] / weight * 255 + 0.5);
 }
+
+void svo_facet_make_points(const svo_shader *s, uint64_t triangle, svo_facet *out)
+{
+    static const int32_t one_voxel[3][3] = {{0}}; /* nothing will be clipped */
+    const double origin[3] = {0, 0, 0};
+    uint32_t group = svo_placement_group(s->placement, triangle);
+    svo_facet_make(s, group, triangle - s->placement->groups[group].first, origin, one_voxel, out);
+}
+
+void svo_facet_point(const svo_shader *s, svo_facet *t, const double barycentric_at[3], uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE])
+{
+    const double wide = 1.0 / 12; /* the variance of a voxel face */
+    svo_piece piece = {.area = 1, .xx = wide, .yy = wide};
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) piece.centre[i] += barycentric_at[k] * t->corner[k][i];
+    svo_contribution c;
+    uint64_t sums[32] = {0};
+    svo_facet_contribution(s, t, &piece, 24, &c);
+    svo_shade_add(&s->layout, &c, sums);
+    svo_shade_value(&s->layout, sums, values);
+    if (s->layout.material < SVO_MAX_CHANNELS) {
+        uint32_t label = t->material < s->placement->mesh->material_count ? t->material : UINT16_MAX;
+        values[s->layout.material][0] = (uint8_t)label;
+        values[s->layout.material][1] = (uint8_t)(label >> 8);
+    }
+}

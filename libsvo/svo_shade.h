@@ -91,6 +91,11 @@ void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *
 /* The weight alone, and the same values with another weight (of a flat facet). */
 uint64_t svo_piece_weight(const svo_piece *piece, uint32_t shift);
 void svo_contribution_weigh(svo_contribution *c, uint64_t weight);
+/* The values at single points of a triangle, as of a voxel whose only surface is one voxel face around the point: for voxels that
+ * are filled from the nearest surface. First the triangle (by its number in the placement), then any of its points; `values` receives
+ * the bytes of every channel that is not constant, the material too. The facet is good for nothing else. Any thread; a facet has one user. */
+void svo_facet_make_points(const svo_shader *s, uint64_t triangle, svo_facet *out);
+void svo_facet_point(const svo_shader *s, svo_facet *t, const double barycentric[3], uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE]);
 /* Does alpha MASK leave something of it? Polygon: the facet clipped to the voxel at cell[3] (block-relative); it may be empty or thin,
  * then the nearest point counts. */
 bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3]);

@@ -4,6 +4,7 @@
 #include <stdio.h>
 
 #include "svo_color.h"
+#include "svo_shade.h"
 #include "svo_texture.h"
 #include "voxel_set.h"
 
@@ -385,4 +386,50 @@ TEST(normals_of_mirrored_and_opposite_sides)
     }
     voxel_free(&s);
     loose_free(&m);
+}
+
+TEST(points_have_the_values_of_the_surface)
+{
+    sheet s;
+    sheet_make(&s, 5, 1);
+    s.materials[0].roughness = 0.3f;
+    svo_voxelize_options o = at_depth(4, SVO_WANT_COLOR | SVO_WANT_NORMAL | SVO_WANT_ROUGHNESS | SVO_WANT_MATERIAL);
+    svo_tree_info info;
+    svo_error err;
+    CHECK_OK(svo_voxelize_plan(&s.m.mesh, &o, &info, &err));
+    for (uint32_t c = 0; c < info.channel_count; c++) info.channels[c].constant = false; /* ask for them all */
+    svo_placement p;
+    CHECK_OK(svo_placement_create(&s.m.mesh, NULL, &p, &err));
+    svo_grid g = {.size = info.voxel_to_world[0], .depth = info.depth};
+    for (int i = 0; i < 3; i++) g.origin[i] = info.voxel_to_world[4 * i + 3];
+    svo_shader *shader = NULL;
+    CHECK_OK(svo_shader_create(&p, &g, &info, 1, NULL, &shader, &err));
+    uint64_t seed = 5;
+    for (uint64_t t = 0; shader != NULL && t < p.triangle_count; t++) {
+        svo_facet facet;
+        svo_facet_make_points(shader, t, &facet);
+        for (int n = 0; n < 4; n++) {
+            double b[3] = {(double)(test_random(&seed) % 1000), (double)(test_random(&seed) % 1000), (double)(test_random(&seed) % 1000) + 1};
+            double sum = b[0] + b[1] + b[2], color[3] = {0, 0, 0}, normal[3] = {0, 0, 0};
+            for (int k = 0; k < 3; k++) b[k] /= sum;
+            uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE], expected[3];
+            svo_facet_point(shader, &facet, b, values);
+            for (int k = 0; k < 3; k++) {
+                const float *nk = s.m.part.normals + 3 * (3 * t + (uint64_t)k), *ck = s.m.part.colors + 4 * (3 * t + (uint64_t)k);
+                double length = sqrt((double)(nk[0] * nk[0] + nk[1] * nk[1] + nk[2] * nk[2]));
+                for (int i = 0; i < 3; i++) color[i] += b[k] * (double)ck[i], normal[i] += b[k] * (double)nk[i] / length;
+            }
+            for (int i = 0; i < 3; i++) expected[i] = svo_linear_to_srgb((float)color[i]);
+            float found[3];
+            svo_oct32_decode(values[1], found);
+            double length = sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2]), dot = 0;
+            for (int i = 0; i < 3; i++) dot += normal[i] * (double)found[i] / length;
+            CHECK(delta(expected, values[0]) < 1 && dot > 0.999999);
+            CHECK_U64(values[2][0], 77); /* 0.3 */
+            CHECK(values[3][0] == 0 && values[3][1] == 0);
+        }
+    }
+    svo_shader_free(shader);
+    svo_placement_free(&p);
+    sheet_free(&s);
 }
