@@ -19,8 +19,9 @@ typedef struct merge {
     size_t head_size;
     fmt_writer *writer;
     char *provenance; /* of shard 1 */
+    fmti_full full;
     bool has_chunks;
-    uint64_t previous;
+    uint64_t previous; /* code at the chunk level where the last item begins */
     fmt_svo_merge_report *report;
 } merge;
 
@@ -167,16 +168,31 @@ static svo_result copy_chunks(merge *m, fmt_svo_reader *reader, svo_buffer *pack
         if (!more) break;
         fmt_chunk c;
         fmti_svo_packed(packed, &c);
-        SVO_TRY(fmt_writer_chunk(m->writer, &c, packed->data, err));
-        svo_counts_ancestors(counts, level, m->has_chunks, m->previous, c.id);
+        uint64_t first = c.id;
+        if (c.type == FMTI_SVO_FULL) {
+            uint32_t leaf = 0;
+            uint64_t code = 0;
+            fmti_parse_place(fmt_load64(packed->data), level, &leaf, &code); /* fetch has checked it */
+            first = code << 3 * (level - leaf);
+            SVO_TRY(fmti_full_add(&m->full, m->writer, packed->data, err));
+            svo_counts_ancestors(counts, level, leaf, m->has_chunks, m->previous, first);
+            fmti_count_full(counts, leaf, level);
+        } else {
+            SVO_TRY(fmti_full_flush(&m->full, m->writer, err));
+            SVO_TRY(fmt_writer_chunk(m->writer, &c, packed->data, err));
+            svo_counts_ancestors(counts, level, level, m->has_chunks, m->previous, first);
+            counts->chunks++;
+        }
         m->has_chunks = true;
-        m->previous = c.id;
-        counts->chunks++;
+        m->previous = first;
     }
     const svo_tree_counts *shard = fmt_svo_reader_counts(reader);
     for (uint32_t l = level; l <= m->report->info.depth; l++)
         if (__builtin_add_overflow(counts->nodes[l], shard->nodes[l], &counts->nodes[l]))
             return svo_fail(err, SVO_INVALID_DATA, "impossible counts (SVO-08)");
+    if (__builtin_add_overflow(counts->full_leaves, shard->full_leaves, &counts->full_leaves) ||
+        __builtin_add_overflow(counts->values, shard->values, &counts->values))
+        return svo_fail(err, SVO_INVALID_DATA, "impossible counts (SVO-08)");
     return SVO_OK;
 }
 
@@ -189,6 +205,7 @@ static svo_result copy_shard(merge *m, const entry *e, svo_buffer *packed, svo_e
     if (r == SVO_OK) r = fmt_svo_reader_open(in, m->allocator, &reader, err);
     if (r == SVO_OK) {
         m->report->info = *fmt_svo_reader_info(reader);
+        if (m->full.stride == 0) fmti_full_init(&m->full, &m->report->info, m->allocator);
         if (fmti_store_head(&m->report->info, head) != m->head_size || memcmp(head, m->head, m->head_size) != 0)
             r = svo_fail(err, SVO_INVALID_DATA, "the file has changed while it was read");
     }
@@ -231,6 +248,7 @@ static svo_result write_all(merge *m, fmt_output *out, svo_error *err)
     }
     svo_buffer_free(&packed);
     SVO_TRY(r);
+    SVO_TRY(fmti_full_flush(&m->full, m->writer, err));
     fmt_writer *writer = m->writer;
     m->writer = NULL;
     return fmti_svo_finish(writer, m->report->info.depth, &m->report->counts, m->provenance, err);
@@ -252,6 +270,7 @@ svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *o
     if (r == SVO_OK) r = write_all(&m, out, err);
     m.report->shards = (uint32_t)count;
     fmt_writer_discard(m.writer);
+    fmti_full_free(&m.full);
     if (m.provenance != NULL) svo_free(a, m.provenance, strlen(m.provenance) + 1, 1);
     svo_free(a, m.entries, count, sizeof *m.entries);
     return r;

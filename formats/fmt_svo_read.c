@@ -11,8 +11,13 @@ struct fmt_svo_reader {
     svo_tree_info info;
     char *provenance;
     uint32_t voxel_bytes;
-    uint64_t previous; /* code of the last chunk fetched */
-    svo_tree_counts fetched; /* chunks and levels above the cut, and finest voxels as the chunk headers say */
+    bool has_previous;
+    uint64_t previous, end; /* codes at the chunk level that the last item covers: previous .. end - 1 */
+    svo_tree_counts fetched; /* chunks, levels above the cut, and values as the chunk headers say */
+    uint64_t items;          /* handed out by fetch */
+    svo_buffer full;         /* a FULL chunk in hand */
+    size_t full_at;
+    fmt_chunk full_chunk;
     svo_tree_counts stat;
     bool has_stat, ended, has_shard;
     fmt_svo_shard shard;
@@ -20,9 +25,10 @@ struct fmt_svo_reader {
     /* What decode has seen. STAT is compared by whoever comes last, the end of the stream or the last decode. */
     pthread_mutex_t lock;
     svo_tree_counts decoded;
+    uint64_t decoded_items;
 };
 
-static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_SHRD, FMTI_SVO_TREE, FMTI_SVO_STAT, FMT_TYPE_META};
+static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_SHRD, FMTI_SVO_TREE, FMTI_SVO_FULL, FMTI_SVO_STAT, FMT_TYPE_META};
 enum { KNOWN = sizeof known_types / sizeof known_types[0] };
 
 /* "SVDAG", not the four bytes, for people. */
@@ -72,6 +78,7 @@ svo_result fmt_svo_reader_open(fmt_input *in, const svo_allocator *a, fmt_svo_re
         return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a .svo reader");
     }
     r->allocator = a;
+    svo_buffer_init(&r->full, a);
     fmt_kind kind = FMT_KIND_SVO;
     uint16_t major;
     svo_result result = fmt_stream_open(in, a, &r->stream, &kind, &major, err);
@@ -110,6 +117,7 @@ static svo_result compare_levels(const fmt_svo_reader *r, svo_error *err)
         what[16] = (char)('0' + l % 10);
         return stat_fail(r, what, r->stat.nodes[l], r->decoded.nodes[l], err);
     }
+    if (r->stat.full_leaves != r->decoded.full_leaves) return stat_fail(r, "full leaves", r->stat.full_leaves, r->decoded.full_leaves, err);
     return SVO_OK;
 }
 
@@ -117,18 +125,19 @@ static svo_result read_stat(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *s
 {
     SVO_TRY(need(c, FMT_CODEC_NONE, err));
     if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "a second STAT (SVO-01)");
-    if (c->stored_size != 8 * ((uint64_t)r->info.depth + 2))
+    if (c->stored_size != 8 * ((uint64_t)r->info.depth + 4))
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "%llu bytes for depth %u (SVO-08)", (unsigned long long)c->stored_size, r->info.depth);
     SVO_TRY(fmt_stream_payload(r->stream, c, scratch, err));
     r->has_stat = true;
     r->stat_chunk = *c;
     r->stat.chunks = fmt_load64(scratch->data);
-    for (uint32_t l = 0; l <= r->info.depth; l++) r->stat.nodes[l] = fmt_load64(scratch->data + 8 + 8 * l);
+    r->stat.full_leaves = fmt_load64(scratch->data + 8);
+    r->stat.values = fmt_load64(scratch->data + 16);
+    for (uint32_t l = 0; l <= r->info.depth; l++) r->stat.nodes[l] = fmt_load64(scratch->data + 24 + 8 * l);
     if (r->stat.chunks != r->fetched.chunks) return stat_fail(r, "chunks", r->stat.chunks, r->fetched.chunks, err);
     for (uint32_t l = 0; l < svo_chunk_level(r->info.depth); l++)
         if (r->stat.nodes[l] != r->fetched.nodes[l]) return stat_fail(r, "nodes above the chunks", r->stat.nodes[l], r->fetched.nodes[l], err);
-    if (r->stat.nodes[r->info.depth] != r->fetched.nodes[r->info.depth])
-        return stat_fail(r, "finest voxels", r->stat.nodes[r->info.depth], r->fetched.nodes[r->info.depth], err);
+    if (r->stat.values != r->fetched.values) return stat_fail(r, "values", r->stat.values, r->fetched.values, err);
     return SVO_OK;
 }
 
@@ -143,8 +152,8 @@ static svo_result read_meta(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *s
 
 static svo_result read_shard(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *scratch, svo_error *err)
 {
-    if (r->has_shard || r->has_stat || r->fetched.chunks != 0)
-        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "it may come once, before the first TREE (SVO-10)");
+    if (r->has_shard || r->has_stat || r->has_previous)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "it may come once, before the first TREE and FULL (SVO-10)");
     if (c->stored_size > FMTI_SVO_SHARD_SIZE) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "too long (SVO-10)");
     SVO_TRY(fmt_stream_payload(r->stream, c, scratch, err));
     SVO_TRY(fmti_parse_shard(c, scratch->data, scratch->size, r->info.depth, &r->shard, err));
@@ -159,16 +168,68 @@ static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *e
     uint32_t level = svo_chunk_level(r->info.depth), levels = r->info.depth - level;
     SVO_TRY(need(c, FMT_CODEC_ZSTD, err));
     if (c->id >> 3 * level != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the grid (SVO-05)", (unsigned long long)c->id);
-    if (r->fetched.chunks != 0 && c->id <= r->previous)
+    if (r->has_previous && c->id < r->end)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)c->id, (unsigned long long)r->previous);
     if (r->has_shard && (c->id < r->shard.first_code || c->id >= r->shard.end_code))
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the shard (SVO-10)", (unsigned long long)c->id);
-    uint64_t voxels = c->element_count, most_voxels = (uint64_t)1 << 3 * levels, most_masks = (most_voxels - 1) / 7;
-    if (voxels == 0 || voxels > most_voxels) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu voxels in a chunk (SVO-06)", (unsigned long long)voxels);
+    uint64_t voxels = c->element_count /* values */, most_voxels = (uint64_t)1 << 3 * levels, most_masks = (most_voxels - 1) / 7;
+    if (voxels == 0 || voxels > most_voxels) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu values in a chunk (SVO-06)", (unsigned long long)voxels);
     uint64_t rest = 16 + voxels * r->voxel_bytes;
     if (c->decoded_size < rest || c->decoded_size - rest > most_masks)
-        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu bytes for %llu voxels (SVO-06)", (unsigned long long)c->decoded_size, (unsigned long long)voxels);
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llu bytes for %llu values (SVO-06)", (unsigned long long)c->decoded_size, (unsigned long long)voxels);
     return SVO_OK;
+}
+
+/* A FULL chunk as a whole, before its records are handed out. */
+static svo_result check_full(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
+{
+    uint64_t at = c->offset - 64;
+    if ((c->flags & FMT_CHUNK_CRITICAL) == 0 || c->codec != FMT_CODEC_NONE || c->element_stride != 8 + r->voxel_bytes || c->element_count == 0 ||
+        c->element_count > FMTI_FULL_MOST)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "wrong flags, codec or element fields (SVO-11)");
+    SVO_TRY(fmt_stream_payload(r->stream, c, &r->full, err));
+    r->full_chunk = *c;
+    r->full_at = 0;
+    return SVO_OK;
+}
+
+/* The next record of the FULL chunk in hand: its place is checked here, its values by decode. */
+static svo_result next_full(fmt_svo_reader *r, svo_buffer *packed, svo_error *err)
+{
+    const fmt_chunk *c = &r->full_chunk;
+    const uint8_t *record = r->full.data + r->full_at;
+    uint32_t cut = svo_chunk_level(r->info.depth), level = 0;
+    uint64_t code = 0, at = c->offset + r->full_at;
+    if (!fmti_parse_place(fmt_load64(record), cut, &level, &code))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "%llx is no place of a full leaf (SVO-11)", (unsigned long long)fmt_load64(record));
+    uint64_t first = code << 3 * (cut - level), end = (code + 1) << 3 * (cut - level);
+    if (r->full_at == 0 && first != c->id)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "its first full leaf begins at %llx, not at its id (SVO-11)", (unsigned long long)first);
+    if (r->has_previous && first < r->end)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)first, (unsigned long long)r->previous);
+    if (r->has_shard && (first < r->shard.first_code || end > r->shard.end_code))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the shard (SVO-10)", (unsigned long long)first);
+    packed->size = 0;
+    fmt_chunk own = *c;
+    own.stored_size = own.decoded_size = c->element_stride;
+    own.element_count = 1;
+    if (svo_buffer_append(packed, record, c->element_stride) == NULL || svo_buffer_append(packed, &own, sizeof own) == NULL)
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    r->full_at += c->element_stride;
+    svo_counts_ancestors(&r->fetched, cut, level, r->has_previous, r->previous, first);
+    fmti_count_full(&r->fetched, level, cut);
+    r->fetched.values++;
+    r->has_previous = true;
+    r->previous = first;
+    r->end = end;
+    return SVO_OK;
+}
+
+static void count_item(fmt_svo_reader *r)
+{
+    pthread_mutex_lock(&r->lock);
+    r->items++;
+    pthread_mutex_unlock(&r->lock);
 }
 
 static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
@@ -176,7 +237,7 @@ static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
     if (!r->has_stat) return svo_fail(err, SVO_INVALID_DATA, "the file has no STAT chunk (SVO-01)");
     svo_result result = SVO_OK;
     pthread_mutex_lock(&r->lock);
-    if (!r->ended && r->decoded.chunks == r->fetched.chunks) result = compare_levels(r, err);
+    if (!r->ended && r->decoded_items == r->items) result = compare_levels(r, err);
     r->ended = true;
     pthread_mutex_unlock(&r->lock);
     return result;
@@ -188,6 +249,12 @@ static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *e
     for (;;) {
         fmt_chunk c;
         bool any = false;
+        if (r->full_at < r->full.size) {
+            SVO_TRY(next_full(r, packed, err));
+            count_item(r);
+            *more = true;
+            return SVO_OK;
+        }
         SVO_TRY(fmt_stream_next(r->stream, &c, &any, err));
         if (!any) {
             *more = false;
@@ -207,14 +274,19 @@ static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *e
             SVO_TRY(fmt_stream_payload(r->stream, &c, packed, err));
             /* the chunk's description travels behind its bytes */
             if (svo_buffer_append(packed, &c, sizeof c) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
-            svo_counts_ancestors(&r->fetched, svo_chunk_level(r->info.depth), r->fetched.chunks != 0, r->previous, c.id);
-            r->fetched.nodes[r->info.depth] += c.element_count;
-            r->previous = c.id;
-            pthread_mutex_lock(&r->lock);
+            uint32_t level = svo_chunk_level(r->info.depth);
+            svo_counts_ancestors(&r->fetched, level, level, r->has_previous, r->previous, c.id);
+            r->fetched.values += c.element_count;
             r->fetched.chunks++;
-            pthread_mutex_unlock(&r->lock);
+            r->has_previous = true;
+            r->previous = c.id;
+            r->end = c.id + 1;
+            count_item(r);
             *more = true;
             return SVO_OK;
+        } else if (c.type == FMTI_SVO_FULL) {
+            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "FULL after STAT (SVO-01)");
+            SVO_TRY(check_full(r, &c, err));
         }
     }
 }
@@ -241,7 +313,7 @@ static bool bad_normals(const uint8_t *planes, uint64_t count)
 static svo_result unpack(const svo_tree_info *info, const fmt_chunk *c, svo_buffer *storage, svo_chunk *out, svo_error *err)
 {
     uint64_t at = c->offset - 64, masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8), values = 16 + masks;
-    svo_chunk n = {.code = c->id, .level = svo_chunk_level(info->depth), .depth = info->depth, .node_count = masks, .voxel_count = voxels};
+    svo_chunk n = {.code = c->id, .level = svo_chunk_level(info->depth), .depth = info->depth, .node_count = masks, .value_count = voxels};
     uint64_t to = (c->decoded_size + 63) / 64 * 64;
     n.masks = storage->data + 16;
     for (uint32_t i = 0; i < info->channel_count; i++) {
@@ -264,6 +336,26 @@ static svo_result unpack(const svo_tree_info *info, const fmt_chunk *c, svo_buff
     return SVO_OK;
 }
 
+/* A full leaf from its record. */
+static svo_result unpack_record(const svo_tree_info *info, const fmt_chunk *c, const uint8_t *record, svo_buffer *storage, svo_chunk *out, svo_error *err)
+{
+    svo_chunk n = {.depth = info->depth, .value_count = 1};
+    size_t at = 8;
+    storage->size = 0;
+    if (svo_buffer_append(storage, record, c->element_stride) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a full leaf");
+    if (!fmti_parse_place(fmt_load64(record), svo_chunk_level(info->depth), &n.level, &n.code))
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset, "no place of a full leaf (SVO-11)");
+    for (uint32_t i = 0; i < info->channel_count; i++) {
+        if (info->channels[i].constant) continue;
+        n.channels[i] = storage->data + at;
+        if (info->channels[i].kind == SVO_KIND_NORMAL_OCT32 && (fmt_load16(n.channels[i]) == 0x8000 || fmt_load16(n.channels[i] + 2) == 0x8000))
+            return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)n.code);
+        at += svo_channel_stride(info->channels[i].kind);
+    }
+    *out = n;
+    return SVO_OK;
+}
+
 /* Room behind the payload for the channels of stride > 1. */
 static uint64_t unpacked_size(const svo_tree_info *info, const fmt_chunk *c)
 {
@@ -281,11 +373,10 @@ size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk)
     return stored;
 }
 
-static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
+static svo_result decode_tree(fmt_svo_reader *r, const fmt_chunk *chunk, const svo_buffer *packed, size_t stored, svo_buffer *storage, svo_chunk *out,
+                              svo_error *err)
 {
-    fmt_svo_reader *r = user;
-    fmt_chunk c;
-    size_t stored = fmti_svo_packed(packed, &c);
+    const fmt_chunk c = *chunk;
     uint64_t at = c.offset - 64, size = unpacked_size(&r->info, &c);
     storage->size = 0;
     if (!svo_buffer_reserve(storage, (size_t)size + 1))
@@ -295,16 +386,29 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     if (result != SVO_OK) return fmt_chunk_fail(err, result, c.type, at, "%s", inner.message);
     uint64_t masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8);
     if (voxels != c.element_count || masks != c.decoded_size - 16 - voxels * r->voxel_bytes)
-        return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%llu masks and %llu voxels do not make %llu bytes (SVO-06)", (unsigned long long)masks,
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%llu masks and %llu values do not make %llu bytes (SVO-06)", (unsigned long long)masks,
                               (unsigned long long)voxels, (unsigned long long)c.decoded_size);
+    if (masks == 0 && r->info.depth != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "no masks: a full leaf belongs into FULL (SVO-07)");
+    return unpack(&r->info, &c, storage, out, err);
+}
+
+static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
+{
+    fmt_svo_reader *r = user;
+    fmt_chunk c;
     svo_chunk n;
     svo_tree_counts counts = {0};
-    SVO_TRY(unpack(&r->info, &c, storage, &n, err));
-    if (svo_chunk_check(&r->info, &n, &counts, &inner) != SVO_OK) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%s (SVO-07)", inner.message);
+    svo_error inner = {0};
+    size_t stored = fmti_svo_packed(packed, &c);
+    if (c.type == FMTI_SVO_FULL) SVO_TRY(unpack_record(&r->info, &c, packed->data, storage, &n, err));
+    else SVO_TRY(decode_tree(r, &c, packed, stored, storage, &n, err));
+    if (svo_chunk_check(&r->info, &n, &counts, &inner) != SVO_OK)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "%s (SVO-07)", inner.message);
+    svo_result result = SVO_OK;
     pthread_mutex_lock(&r->lock);
-    r->decoded.chunks++;
-    for (uint32_t l = n.level; l <= n.depth; l++) r->decoded.nodes[l] += counts.nodes[l];
-    if (r->ended && r->decoded.chunks == r->fetched.chunks) result = compare_levels(r, err);
+    r->decoded_items++;
+    svo_counts_add(&r->decoded, &counts);
+    if (r->ended && r->decoded_items == r->items) result = compare_levels(r, err);
     pthread_mutex_unlock(&r->lock);
     if (result == SVO_OK) *out = n;
     return result;
@@ -322,6 +426,7 @@ void fmt_svo_reader_close(fmt_svo_reader *r)
     fmt_stream_close(r->stream);
     fmt_zstd_pool_free(r->pool);
     fmt_meta_free(r->allocator, r->provenance);
+    svo_buffer_free(&r->full);
     pthread_mutex_destroy(&r->lock);
     svo_free(r->allocator, r, 1, sizeof *r);
 }

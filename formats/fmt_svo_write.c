@@ -12,13 +12,17 @@ struct fmt_svo_writer {
     int level;
     uint32_t voxel_bytes;
     svo_tree_counts counts;
-    uint64_t previous; /* code of the last chunk written */
+    fmti_full full;
+    bool has_previous;
+    uint64_t previous, end; /* codes at the chunk level that the last item covers: previous .. end - 1 */
 };
 
 typedef struct blob {
     fmt_chunk chunk;
     svo_tree_counts counts; /* of this chunk alone */
-    svo_buffer stored;
+    uint32_t level;
+    uint64_t first, end;    /* codes at the chunk level that it covers */
+    svo_buffer stored;      /* payload of a TREE chunk, or a record of a FULL chunk */
 } blob;
 
 svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, const char *provenance, int level, const svo_allocator *a,
@@ -32,6 +36,7 @@ svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, cons
     w->info = *info;
     w->level = level != 0 ? level : 3;
     w->voxel_bytes = fmti_voxel_bytes(info);
+    fmti_full_init(&w->full, info, a);
     svo_result r = SVO_OK;
     if (provenance != NULL && provenance[0] != 0) {
         size_t n = strlen(provenance) + 1;
@@ -58,7 +63,7 @@ svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, cons
 svo_result fmt_svo_writer_shard(fmt_svo_writer *w, const fmt_svo_shard *shard, svo_error *err)
 {
     uint8_t bytes[FMTI_SVO_SHARD_SIZE];
-    SVO_ASSERT(w->counts.chunks == 0 && shard->index >= 1 && shard->index <= shard->count && shard->first_code <= shard->end_code);
+    SVO_ASSERT(!w->has_previous && shard->index >= 1 && shard->index <= shard->count && shard->first_code <= shard->end_code);
     fmti_store_shard(shard, bytes);
     fmt_chunk c = {.type = FMTI_SVO_SHRD, .stored_size = sizeof bytes, .decoded_size = sizeof bytes};
     return fmt_writer_chunk(w->writer, &c, bytes, err);
@@ -80,15 +85,39 @@ static bool bad_normals(const uint8_t *v, uint64_t count)
     return bad;
 }
 
+static svo_result bad_normal(const svo_chunk *chunk, svo_error *err)
+{
+    return svo_fail(err, SVO_INVALID_DATA, "chunk %llx: a normal holds -32768 (SVO-09)", (unsigned long long)chunk->code);
+}
+
+static svo_result fill_record(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, svo_error *err)
+{
+    uint8_t place[8];
+    fmt_store64(place, fmti_place(chunk->level, chunk->code));
+    bool ok = svo_buffer_append(&b->stored, place, sizeof place) != NULL;
+    for (uint32_t i = 0; i < w->info.channel_count && ok; i++) {
+        const svo_channel *c = &w->info.channels[i];
+        if (c->constant) continue;
+        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], 1)) return bad_normal(chunk, err);
+        ok = svo_buffer_append(&b->stored, chunk->channels[i], svo_channel_stride(c->kind)) != NULL;
+    }
+    b->chunk.type = FMTI_SVO_FULL;
+    return ok ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a full leaf");
+}
+
 static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, svo_error *err)
 {
     const svo_tree_info *info = &w->info;
     SVO_TRY(svo_chunk_check(info, chunk, &b->counts, err));
-    uint64_t size = 16 + chunk->node_count + chunk->voxel_count * w->voxel_bytes;
+    b->level = chunk->level;
+    b->first = svo_chunk_first(chunk);
+    b->end = svo_chunk_end(chunk);
+    if (svo_chunk_full(chunk)) return fill_record(w, chunk, b, err);
+    uint64_t size = 16 + chunk->node_count + chunk->value_count * w->voxel_bytes;
     uint8_t *plain = svo_alloc(w->allocator, size, 1);
     if (plain == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to lay out a chunk of %llu bytes", (unsigned long long)size);
     fmt_store64(plain, chunk->node_count);
-    fmt_store64(plain + 8, chunk->voxel_count);
+    fmt_store64(plain + 8, chunk->value_count);
     uint8_t *at = plain + 16;
     if (chunk->node_count != 0) memcpy(at, chunk->masks, (size_t)chunk->node_count);
     at += chunk->node_count;
@@ -97,16 +126,16 @@ static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, 
         const svo_channel *c = &info->channels[i];
         if (c->constant) continue;
         uint32_t stride = svo_channel_stride(c->kind);
-        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->voxel_count))
-            r = svo_fail(err, SVO_INVALID_DATA, "chunk %llx: a normal holds -32768 (SVO-09)", (unsigned long long)chunk->code);
-        to_planes(chunk->channels[i], chunk->voxel_count, stride, at);
-        at += stride * chunk->voxel_count;
+        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->value_count))
+            r = bad_normal(chunk, err);
+        to_planes(chunk->channels[i], chunk->value_count, stride, at);
+        at += stride * chunk->value_count;
     }
     if (r == SVO_OK) r = fmt_zstd_encode(w->pool, plain, (size_t)size, w->level, &b->stored, err);
     svo_free(w->allocator, plain, size, 1);
     if (r != SVO_OK) return r;
     b->chunk = (fmt_chunk){.type = FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL, .codec = FMT_CODEC_ZSTD, .stored_size = b->stored.size,
-                           .decoded_size = size, .element_count = chunk->voxel_count, .id = chunk->code};
+                           .decoded_size = size, .element_count = chunk->value_count, .id = chunk->code};
     return SVO_OK;
 }
 
@@ -149,15 +178,20 @@ static svo_result commit(void *user, void *p, svo_error *err)
     fmt_svo_writer *w = user;
     blob *b = p;
     svo_result r = SVO_OK;
-    if (w->counts.chunks != 0 && b->chunk.id <= w->previous)
-        r = svo_fail(err, SVO_RUNTIME, "chunks were given out of order: %llx after %llx", (unsigned long long)b->chunk.id, (unsigned long long)w->previous);
-    if (r == SVO_OK) r = fmt_writer_chunk(w->writer, &b->chunk, b->stored.data, err);
+    if (w->has_previous && b->first < w->end)
+        r = svo_fail(err, SVO_RUNTIME, "chunks were given out of order: %llx after %llx", (unsigned long long)b->first, (unsigned long long)w->previous);
+    if (r == SVO_OK && b->chunk.type == FMTI_SVO_FULL) {
+        r = fmti_full_add(&w->full, w->writer, b->stored.data, err);
+    } else if (r == SVO_OK) {
+        r = fmti_full_flush(&w->full, w->writer, err);
+        if (r == SVO_OK) r = fmt_writer_chunk(w->writer, &b->chunk, b->stored.data, err);
+    }
     if (r == SVO_OK) {
-        uint32_t level = svo_chunk_level(w->info.depth);
-        svo_counts_ancestors(&w->counts, level, w->counts.chunks != 0, w->previous, b->chunk.id);
-        for (uint32_t l = level; l <= w->info.depth; l++) w->counts.nodes[l] += b->counts.nodes[l];
-        w->counts.chunks++;
-        w->previous = b->chunk.id;
+        svo_counts_ancestors(&w->counts, svo_chunk_level(w->info.depth), b->level, w->has_previous, w->previous, b->first);
+        svo_counts_add(&w->counts, &b->counts);
+        w->has_previous = true;
+        w->previous = b->first;
+        w->end = b->end;
     }
     discard_blob(w, b);
     return r;
@@ -171,10 +205,12 @@ svo_chunk_sink fmt_svo_writer_sink(fmt_svo_writer *w)
 
 svo_result fmti_svo_finish(fmt_writer *w, uint32_t depth, const svo_tree_counts *counts, const char *provenance, svo_error *err)
 {
-    uint8_t stat[8 * (SVO_MAX_DEPTH + 2)];
-    uint64_t size = 8 * ((uint64_t)depth + 2);
+    uint8_t stat[8 * (SVO_MAX_DEPTH + 4)];
+    uint64_t size = 8 * ((uint64_t)depth + 4);
     fmt_store64(stat, counts->chunks);
-    for (uint32_t l = 0; l <= depth; l++) fmt_store64(stat + 8 + 8 * l, counts->nodes[l]);
+    fmt_store64(stat + 8, counts->full_leaves);
+    fmt_store64(stat + 16, counts->values);
+    for (uint32_t l = 0; l <= depth; l++) fmt_store64(stat + 24 + 8 * l, counts->nodes[l]);
     fmt_chunk c = {.type = FMTI_SVO_STAT, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
     svo_result r = fmt_writer_chunk(w, &c, stat, err);
     if (r == SVO_OK) r = fmt_writer_meta(w, provenance, err);
@@ -185,9 +221,14 @@ svo_result fmti_svo_finish(fmt_writer *w, uint32_t depth, const svo_tree_counts 
 
 svo_result fmt_svo_writer_end(fmt_svo_writer *w, svo_tree_counts *counts, svo_error *err)
 {
+    svo_result r = fmti_full_flush(&w->full, w->writer, err);
+    if (r != SVO_OK) {
+        fmt_svo_writer_discard(w);
+        return r;
+    }
     fmt_writer *writer = w->writer;
     w->writer = NULL;
-    svo_result r = fmti_svo_finish(writer, w->info.depth, &w->counts, w->provenance, err);
+    r = fmti_svo_finish(writer, w->info.depth, &w->counts, w->provenance, err);
     if (r == SVO_OK && counts != NULL) *counts = w->counts;
     fmt_svo_writer_discard(w);
     return r;
@@ -198,6 +239,7 @@ void fmt_svo_writer_discard(fmt_svo_writer *w)
     if (w == NULL) return;
     fmt_writer_discard(w->writer);
     fmt_zstd_pool_free(w->pool);
+    fmti_full_free(&w->full);
     if (w->provenance != NULL) svo_free(w->allocator, w->provenance, strlen(w->provenance) + 1, 1);
     svo_free(w->allocator, w, 1, sizeof *w);
 }

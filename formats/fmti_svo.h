@@ -6,11 +6,12 @@
 
 #define FMTI_SVO_HEAD FMT_FOURCC('H', 'E', 'A', 'D')
 #define FMTI_SVO_TREE FMT_FOURCC('T', 'R', 'E', 'E')
+#define FMTI_SVO_FULL FMT_FOURCC('F', 'U', 'L', 'L')
 #define FMTI_SVO_STAT FMT_FOURCC('S', 'T', 'A', 'T')
 
 #define FMTI_SVO_SHRD FMT_FOURCC('S', 'H', 'R', 'D')
 
-enum { FMTI_SVO_SHARD_SIZE = 40, FMTI_SVO_HEAD_FIXED = 144, FMTI_SVO_CHANNEL_RECORD = 32, FMTI_SVO_HEAD_MAX = 144 + 32 * 16 };
+enum { FMTI_SVO_SHARD_SIZE = 40, FMTI_FULL_MOST = 4096 /* records of a FULL chunk */, FMTI_SVO_HEAD_FIXED = 144, FMTI_SVO_CHANNEL_RECORD = 32, FMTI_SVO_HEAD_MAX = 144 + 32 * 16 };
 
 /* Channel record of 32 bytes, used by .svo and .svdag. Parsing checks SVO-04 but for equal names. */
 void fmti_store_channel(const svo_channel *c, uint8_t *bytes);
@@ -31,6 +32,24 @@ void fmti_store_shard(const fmt_svo_shard *shard, uint8_t *to);
 svo_result fmti_parse_shard(const fmt_chunk *chunk, const uint8_t *bytes, uint64_t size, uint32_t depth, fmt_svo_shard *shard, svo_error *err);
 /* The description of the chunk in a buffer that a reader's fetch filled; returns how many stored bytes stand before it. */
 size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk);
+
+/* A full leaf that covers a chunk or more is a record: u64 place (its code with a bit 1 in front, so that the level is told by the bit's position),
+ * then one value of every channel that is not constant. */
+uint64_t fmti_place(uint32_t level, uint64_t code);
+bool fmti_parse_place(uint64_t place, uint32_t chunk_level, uint32_t *level, uint64_t *code);
+
+/* Records wait here until the next TREE chunk, so that a run of them shares a FULL chunk, whoever brought them. */
+typedef struct fmti_full {
+    svo_buffer records;
+    uint32_t chunk_level, stride;
+} fmti_full;
+void fmti_full_init(fmti_full *f, const svo_tree_info *info, const svo_allocator *a);
+void fmti_full_free(fmti_full *f);
+svo_result fmti_full_add(fmti_full *f, fmt_writer *w, const uint8_t *record, svo_error *err);
+svo_result fmti_full_flush(fmti_full *f, fmt_writer *w, svo_error *err);
+
+/* Count what a full leaf has on the levels from its own to `end` - 1. */
+void fmti_count_full(svo_tree_counts *counts, uint32_t level, uint32_t end);
 
 /* Bytes of all channels that are not constant, one voxel. */
 uint32_t fmti_voxel_bytes(const svo_tree_info *info);

@@ -79,8 +79,10 @@ static svo_result next_chunk(comparer *c, side *s, svo_error *err)
     SVO_TRY(s->source->fetch(s->source->user, &s->packed, &s->more, err));
     if (!s->more) return SVO_OK;
     SVO_TRY(s->source->decode(s->source->user, &s->packed, &s->storage, &s->chunk, err));
-    SVO_TRY(svo_chunk_check(s->info, &s->chunk, NULL, err));
-    s->voxels += s->chunk.voxel_count;
+    svo_tree_counts counts = {0};
+    SVO_TRY(svo_chunk_check(s->info, &s->chunk, &counts, err));
+    if (counts.full_leaves != 0) return svo_fail(err, SVO_UNSUPPORTED, "full leaves of solid octrees cannot be compared");
+    s->voxels += s->chunk.value_count;
     uint64_t total = c->a.voxels + c->b.voxels;
     if (c->options->max_voxels != 0 && total > c->options->max_voxels)
         return svo_fail(err, SVO_LIMIT, "more than %llu voxels to compare", (unsigned long long)c->options->max_voxels);
@@ -93,12 +95,12 @@ static svo_result next_chunk(comparer *c, side *s, svo_error *err)
 static svo_result list_codes(side *s, const svo_allocator *a, svo_error *err)
 {
     const svo_chunk *k = &s->chunk;
-    if (s->capacity < k->voxel_count) {
+    if (s->capacity < k->value_count) {
         svo_free(a, s->codes, s->capacity, sizeof *s->codes);
         s->capacity = 0;
-        s->codes = svo_alloc(a, k->voxel_count, sizeof *s->codes);
+        s->codes = svo_alloc(a, k->value_count, sizeof *s->codes);
         if (s->codes == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-        s->capacity = k->voxel_count;
+        s->capacity = k->value_count;
     }
     uint32_t levels = k->depth - k->level, l = 0, code[SVO_CHUNK_LEVELS + 1] = {0};
     uint8_t left[SVO_CHUNK_LEVELS + 1];
@@ -167,20 +169,20 @@ static svo_result compare_chunks(comparer *c, svo_error *err)
         const svo_channel *ca = &a->info->channels[c->pair_a[i]], *cb = &b->info->channels[c->pair_b[i]];
         if (ca->constant && cb->constant) same_values = memcmp(ca->value, cb->value, stride) == 0;
         else if (ca->constant || cb->constant) same_values = false;
-        else same_values = memcmp(ka->channels[c->pair_a[i]], kb->channels[c->pair_b[i]], ka->voxel_count * stride) == 0;
+        else same_values = memcmp(ka->channels[c->pair_a[i]], kb->channels[c->pair_b[i]], ka->value_count * stride) == 0;
     }
     if (same_values) {
-        c->out->both += ka->voxel_count;
+        c->out->both += ka->value_count;
         return SVO_OK;
     }
     SVO_TRY(list_codes(a, c->options->allocator, err));
     SVO_TRY(list_codes(b, c->options->allocator, err));
     uint64_t i = 0, j = 0;
-    while (i < ka->voxel_count || j < kb->voxel_count) {
-        if (j == kb->voxel_count || (i < ka->voxel_count && a->codes[i] < b->codes[j])) {
+    while (i < ka->value_count || j < kb->value_count) {
+        if (j == kb->value_count || (i < ka->value_count && a->codes[i] < b->codes[j])) {
             only_one(c, true, high | a->codes[i], 1);
             i++;
-        } else if (i == ka->voxel_count || b->codes[j] < a->codes[i]) {
+        } else if (i == ka->value_count || b->codes[j] < a->codes[i]) {
             only_one(c, false, high | b->codes[j], 1);
             j++;
         } else {
@@ -207,7 +209,7 @@ static svo_result compare_streams(comparer *c, svo_error *err)
             side *s = take_a ? a : b;
             SVO_TRY(list_codes(s, c->options->allocator, err));
             uint64_t high = s->chunk.code << (3 * (s->chunk.depth - s->chunk.level));
-            only_one(c, take_a, high | s->codes[0], s->chunk.voxel_count);
+            only_one(c, take_a, high | s->codes[0], s->chunk.value_count);
         }
         if (take_a) SVO_TRY(next_chunk(c, a, err));
         if (take_b) SVO_TRY(next_chunk(c, b, err));

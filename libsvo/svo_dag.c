@@ -189,6 +189,7 @@ static svo_result encode(void *user, const svo_chunk *chunk, uint32_t worker, vo
     svo_dag_builder *b = user;
     svo_tree_counts counts = {0};
     SVO_TRY(svo_chunk_check(&b->info, chunk, &counts, err));
+    if (counts.full_leaves != 0) return svo_fail(err, SVO_UNSUPPORTED, "full leaves of solid octrees cannot be packed");
     blob *c = svo_calloc(b->a, 1, sizeof *c);
     if (c == NULL) return svoi_no_memory(b->packed, "a chunk", err);
     c->code = chunk->code;
@@ -326,9 +327,8 @@ static svo_result commit_blob(svo_dag_builder *b, blob *c, svo_error *err)
         SVO_TRY(close_frames(b, first, err));
     }
     for (uint32_t level = first; level < b->chunk_level; level++) SVO_TRY(open_frame(b, level, err));
-    svo_counts_ancestors(&b->counts, b->chunk_level, b->has_previous, b->previous, c->code);
-    b->counts.chunks++;
-    for (uint32_t l = b->chunk_level; l <= b->info.depth; l++) b->counts.nodes[l] += c->counts.nodes[l];
+    svo_counts_ancestors(&b->counts, b->chunk_level, b->chunk_level, b->has_previous, b->previous, c->code);
+    svo_counts_add(&b->counts, &c->counts);
     for (uint32_t i = 0; i < b->info.channel_count; i++)
         if (!b->info.channels[i].constant && !svoi_values_append(&b->values[i], c->values[i], c->size))
             return svoi_no_memory(b->packed, "attributes", err);

@@ -212,7 +212,7 @@ svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_chann
 {
     walk w = {.c = c, .kind = kind, .stride = svo_channel_stride(kind), .in = c->channels[channel], .mask = c->masks};
     if (!lod) {
-        memcpy(out, w.in, (size_t)c->voxel_count * w.stride);
+        memcpy(out, w.in, (size_t)c->value_count * w.stride);
         return SVO_OK;
     }
     if (kind == SVO_KIND_COLOR_SRGB8)

@@ -151,7 +151,7 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     uint64_t index = p.node.attribute;
     if (v->depth == 0) {
         index = svo_view_brick_voxel(v, p.node, svo_view_brick(v, p.node), 0);
-        c.voxel_count = 1;
+        c.value_count = 1;
     } else if (v->depth == 1) { /* the octree is the brick's first octant */
         storage->data[0] = (uint8_t)svo_view_brick(v, p.node);
         index = svo_view_brick_octant(v, p.node, svo_view_brick(v, p.node), 0);
@@ -168,13 +168,13 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
             left[l++] = (uint8_t)k;
             continue;
         }
-        c.voxel_count += k;
+        c.value_count += k;
         while (l > 0 && --left[l - 1] == 0) l--;
     }
     size_t at[SVO_MAX_CHANNELS] = {0}, end = c.node_count;
     for (uint32_t i = 0; i < v->channel_count; i++) {
         at[i] = end;
-        if (!v->channels[i].channel.constant) end += (size_t)c.voxel_count * svo_channel_stride(v->channels[i].channel.kind);
+        if (!v->channels[i].channel.constant) end += (size_t)c.value_count * svo_channel_stride(v->channels[i].channel.kind);
     }
     storage->size = c.node_count; /* kept when it grows */
     if (!svo_buffer_reserve(storage, end - storage->size)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");

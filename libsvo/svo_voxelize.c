@@ -175,7 +175,7 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
             svo_chunk chunk = {.code = it->code, .level = svo_chunk_level(r->info->depth), .depth = r->info->depth};
             chunk.masks = w->masks.data + skip;
             chunk.node_count = w->masks.size - skip;
-            chunk.voxel_count = it->counts.nodes[7];
+            chunk.value_count = it->counts.nodes[7];
             for (uint32_t c = 0; c < r->info->channel_count; c++) chunk.channels[c] = s.channels[c];
             result = r->sink->encode(r->sink->user, &chunk, number, &it->blob, err);
             it->has_blob = result == SVO_OK;
@@ -196,10 +196,11 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     if (it->distances.most > r->report->distance_max) r->report->distance_max = it->distances.most;
     svo_tree_counts *counts = &r->report->counts;
     uint32_t level = svo_chunk_level(r->info->depth), levels = block_levels(r);
-    svo_counts_ancestors(counts, level, r->has_previous, r->previous, it->code);
+    svo_counts_ancestors(counts, level, level, r->has_previous, r->previous, it->code);
     r->has_previous = true;
     r->previous = it->code;
     counts->chunks++;
+    counts->values += it->counts.nodes[7];
     for (uint32_t i = 0; i <= levels; i++) counts->nodes[level + i] += it->counts.nodes[SVO_CHUNK_LEVELS - levels + i];
     it->has_blob = false;
     return r->sink->commit(r->sink->user, it->blob, err);

@@ -99,6 +99,7 @@ void dump_ply_place(dump_ply *p, const double voxel_to_world[16], const svo_mat4
 
 svo_result dump_ply_voxel(dump_ply *p, uint32_t x, uint32_t y, uint32_t z, const uint8_t *const *values, svo_error *err)
 {
+    if (p->written == p->count) return svo_fail(err, SVO_INVALID_DATA, "the file states %llu voxels and holds more", (unsigned long long)p->count);
     uint8_t *to = p->rows + p->used;
     const double *m = p->to_world;
     const uint32_t grid[3] = {x, y, z};

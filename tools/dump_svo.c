@@ -17,7 +17,7 @@ typedef struct walk {
     bool any;
     uint32_t low[3], high[3];
     uint64_t id_low[SVO_MAX_CHANNELS], id_high[SVO_MAX_CHANNELS];
-    uint64_t voxels, expected;
+    uint64_t values, expected_values, expected; /* expected: finest voxels */
     dump_ply *ply;
 } walk;
 
@@ -41,14 +41,13 @@ static svo_result produce(void *user, void *p, bool *more, svo_error *err)
     return w->source.fetch(w->source.user, &i->packed, more, err);
 }
 
-static bool grow_bounds(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
+static bool grow_bounds(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
 {
     (void)index;
     item *i = user;
-    const uint32_t at[3] = {x, y, z};
     for (int k = 0; k < 3; k++) {
-        if (at[k] < i->low[k]) i->low[k] = at[k];
-        if (at[k] > i->high[k]) i->high[k] = at[k];
+        if (low[k] < i->low[k]) i->low[k] = low[k];
+        if (low[k] + size - 1 > i->high[k]) i->high[k] = low[k] + size - 1;
     }
     return true;
 }
@@ -68,7 +67,7 @@ static void mark_values(walk *w, item *i)
         uint32_t stride = svo_channel_stride(w->info->channels[c].kind), *bits = w->seen[c].bits;
         i->id_low[c] = UINT64_MAX;
         i->id_high[c] = 0;
-        for (uint64_t k = 0; k < i->chunk.voxel_count; k++) {
+        for (uint64_t k = 0; k < i->chunk.value_count; k++) {
             uint64_t v = load_value(values + k * stride, stride);
             if (v < i->id_low[c]) i->id_low[c] = v;
             if (v > i->id_high[c]) i->id_high[c] = v;
@@ -88,7 +87,7 @@ static svo_result work(void *user, void *p, uint32_t worker, svo_error *err)
     SVO_TRY(w->source.decode(w->source.user, &i->packed, &i->storage, &i->chunk, err));
     memset(i->low, 0xff, sizeof i->low);
     memset(i->high, 0, sizeof i->high);
-    svo_chunk_voxels(&i->chunk, grow_bounds, i);
+    svo_chunk_values(&i->chunk, grow_bounds, i);
     mark_values(w, i);
     return SVO_OK;
 }
@@ -121,8 +120,8 @@ static svo_result commit(void *user, void *p, svo_error *err)
         if (!w->any || i->id_high[c] > w->id_high[c]) w->id_high[c] = i->id_high[c];
     }
     w->any = true;
-    w->voxels += i->chunk.voxel_count;
-    if (w->expected != 0) cli_progress(w->job->c, "reading", (double)w->voxels / (double)w->expected);
+    w->values += i->chunk.value_count;
+    if (w->expected_values != 0) cli_progress(w->job->c, "reading", (double)w->values / (double)w->expected_values);
     if (w->ply == NULL) return SVO_OK;
     rows r = {w, &i->chunk, SVO_OK, err};
     svo_chunk_voxels(&i->chunk, write_row, &r);
@@ -164,11 +163,13 @@ static void put_attributes(const walk *w, json_t *o)
     json_object_set_new(o, "attributes", list);
 }
 
-/* The number of finest voxels, needed before the first row is written. The reader checks it at the end. */
-static uint64_t stated_voxels(const fmt_container *c)
+/* The numbers of finest voxels and of values, needed before the first row is written. The reader checks them at the end. */
+static void read_stated(const fmt_container *c, walk *w)
 {
     const fmt_chunk *stat = fmt_container_find(c, FMT_FOURCC('S', 'T', 'A', 'T'), true, 0);
-    return stat != NULL && stat->stored_size >= 8 ? fmt_load64(c->data + stat->offset + stat->stored_size - 8) : 0;
+    if (stat == NULL || stat->stored_size < 32) return;
+    w->expected_values = fmt_load64(c->data + stat->offset + 16);
+    w->expected = fmt_load64(c->data + stat->offset + stat->stored_size - 8);
 }
 
 static svo_result run(dump_job *j, walk *w, svo_error *err)
@@ -196,7 +197,8 @@ svo_result dump_svo(dump_job *j, svo_error *err)
     fmt_input *in = NULL;
     fmt_svo_reader *r = NULL;
     SVO_TRY(fmt_container_open(j->data, j->size, j->allocator, &c, err));
-    walk w = {.job = j, .expected = stated_voxels(&c)};
+    walk w = {.job = j};
+    read_stated(&c, &w);
     svo_result result = fmt_input_open_memory(j->data, j->size, &in, err);
     if (result == SVO_OK) result = fmt_svo_reader_open(in, j->allocator, &r, err);
     if (result == SVO_OK) {
@@ -209,6 +211,8 @@ svo_result dump_svo(dump_job *j, svo_error *err)
         dump_grid(j->json, w.info->depth, w.info->voxel_to_world, w.info->surface, w.info->fill);
         if (!j->quick) dump_bounds(j->json, w.any, w.low, w.high, w.info->voxel_to_world);
         dump_counts(j->json, w.info->depth, fmt_svo_reader_counts(r)->nodes, j->size);
+        cli_put_u64(j->json, "full_leaves", fmt_svo_reader_counts(r)->full_leaves);
+        cli_put_u64(j->json, "values", fmt_svo_reader_counts(r)->values);
         put_attributes(&w, j->json);
         dump_sections(j, &c);
         dump_provenance(j->json, fmt_svo_reader_provenance(r));

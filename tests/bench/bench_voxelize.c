@@ -11,7 +11,7 @@ static svo_result count_encode(void *user, const svo_chunk *chunk, uint32_t work
 {
     (void)worker, (void)err;
     *blob = NULL;
-    __atomic_fetch_add((uint64_t *)user, chunk->voxel_count, __ATOMIC_RELAXED);
+    __atomic_fetch_add((uint64_t *)user, chunk->value_count, __ATOMIC_RELAXED);
     return SVO_OK;
 }
 static svo_result count_commit(void *user, void *blob, svo_error *err) { return (void)user, (void)blob, (void)err, SVO_OK; }

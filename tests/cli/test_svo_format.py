@@ -109,21 +109,35 @@ def columns(name, kind, value):
     return {name: int.from_bytes(value, "little")}
 
 
+def full(code, levels):
+    """Morton codes of all finest voxels of a full leaf, and how many nodes each level below it has."""
+    n = 8 ** levels
+    return range(code * n, (code + 1) * n), [8 ** l for l in range(levels + 1)]
+
+
 def tree(code, levels, masks):
-    """Morton codes of the finest voxels below a chunk's root, and how many nodes each level has."""
-    codes, counts, stack, at = [], [0] * (levels + 1), [(code, 0)], 0
+    """For each value below a chunk's root its finest voxels' Morton codes; how many nodes each level has; how many full leaves."""
+    values, counts, stack, at, leaves = [], [0] * (levels + 1), [(code, 0)], 0, 0
     while stack:
         c, l = stack.pop()
-        counts[l] += 1
         if l == levels:
-            codes.append(c)
+            counts[l] += 1
+            values.append([c])
             continue
         mask = masks[at]
         at += 1
-        check(mask != 0, "empty mask")
-        stack.extend((8 * c + i, l + 1) for i in range(7, -1, -1) if mask >> i & 1)
+        if mask == 0:
+            check(l > 0, "empty root")
+            codes, below = full(c, levels - l)
+            values.append(codes)
+            leaves += 1
+            for i, n in enumerate(below):
+                counts[l + i] += n
+        else:
+            counts[l] += 1
+            stack.extend((8 * c + i, l + 1) for i in range(7, -1, -1) if mask >> i & 1)
     check(at == len(masks), "masks left over")
-    return codes, counts
+    return values, counts, leaves
 
 
 def coordinates(code, depth):
@@ -132,40 +146,71 @@ def coordinates(code, depth):
 
 def read_svo(b):
     chunks = container(b)
-    check(chunks[0][0] == "HEAD" and [c[0] for c in chunks if c[0] not in ("TREE", "META")] == ["HEAD", "STAT"], "order")
+    check(chunks[0][0] == "HEAD" and [c[0] for c in chunks if c[0] not in ("TREE", "FULL", "META")] == ["HEAD", "STAT"], "order")
     depth, level, matrix, records = head(chunks[0][5])
-    voxels, nodes, last, roots = {}, [0] * (depth + 1), -1, set()
+    varying = [r for r in records if not r[2]]
+    voxels, nodes, end, roots, trees, leaves, all_values = {}, [0] * (depth + 1), 0, [], 0, 0, 0
+
+    def put(codes, value_bytes):
+        value = {}
+        for name, kind_number, constant, fixed in records:
+            value.update(columns(name, kind_number, fixed if constant else value_bytes[name]))
+        voxels.update((coordinates(c, depth), value) for c in codes)
+
     for kind, flags, elements, stride, code, p in chunks:
-        if kind != "TREE":
-            continue
-        check(flags == 1 and last < code < 8 ** level, "TREE")
-        last = code
-        roots.add(code)
-        m, n = struct.unpack_from("<QQ", p)
-        codes, counts = tree(code, depth - level, p[16:16 + m])
-        check(len(codes) == n == elements, "voxels")
-        for l, count in enumerate(counts):
-            nodes[level + l] += count
-        at, values = 16 + m, [{} for _ in codes]
-        for name, kind_number, constant, value in records:
-            size = SIZES[kind_number]
-            for i in range(n):
-                v = value if constant else bytes(p[at + plane * n + i] for plane in range(size))
-                values[i].update(columns(name, kind_number, v))
-            at += 0 if constant else size * n
-        check(at == len(p), "bytes left over")
-        voxels.update((coordinates(c, depth), v) for c, v in zip(codes, values))
+        if kind == "TREE":
+            check(flags == 1 and end <= code < 8 ** level, "TREE")
+            end = code + 1
+            roots.append((code, level))
+            trees += 1
+            m, n = struct.unpack_from("<QQ", p)
+            values, counts, full_leaves = tree(code, depth - level, p[16:16 + m])
+            check(len(values) == n == elements and (m > 0 or depth == 0), "values")
+            leaves += full_leaves
+            all_values += n
+            for l, count in enumerate(counts):
+                nodes[level + l] += count
+            at, columns_at = 16 + m, {}
+            for name, kind_number, _, _ in varying:
+                columns_at[name] = at
+                at += SIZES[kind_number] * n
+            check(at == len(p), "bytes left over")
+            for i, codes in enumerate(values):
+                put(codes, {name: bytes(p[columns_at[name] + plane * n + i] for plane in range(SIZES[kind_number])) for name, kind_number, _, _ in varying})
+        elif kind == "FULL":
+            check(flags == 1 and stride == 8 + sum(SIZES[r[1]] for r in varying) and 1 <= elements <= 4096, "FULL")
+            for i in range(elements):
+                at = i * stride
+                place = struct.unpack_from("<Q", p, at)[0]
+                top = place.bit_length() - 1
+                check(top % 3 == 0 and 1 <= top // 3 <= level, "place")
+                l, c = top // 3, place - (1 << top)
+                first = c * 8 ** (level - l)
+                check(first >= end and (i > 0 or first == code), "order of full leaves")
+                end = (c + 1) * 8 ** (level - l)
+                roots.append((first, l))
+                codes, counts = full(c, depth - l)
+                for k, count in enumerate(counts):
+                    nodes[l + k] += count
+                leaves += 1
+                all_values += 1
+                at += 8
+                value = {}
+                for name, kind_number, _, _ in varying:
+                    value[name] = p[at:at + SIZES[kind_number]]
+                    at += SIZES[kind_number]
+                put(codes, value)
     for l in range(level):
-        nodes[l] = len({r >> 3 * (level - l) for r in roots})
+        nodes[l] += len({r >> 3 * (level - l) for r, own in roots if own > l})
     stat = next(c[5] for c in chunks if c[0] == "STAT")
-    check(struct.unpack("<%dQ" % (depth + 2), stat) == (len(roots), *nodes), "STAT")
+    check(struct.unpack("<%dQ" % (depth + 4), stat) == (trees, leaves, all_values, *nodes), "STAT")
     return depth, matrix, voxels
 
 
 def compare(folder, svo):
     depth, matrix, voxels = read_svo(svo.read_bytes())
     d = run("svo-dump", svo, "--json").json
-    check(d["depth"] == depth and tuple(d["voxel_to_world"]) == matrix and d["voxels"] == len(voxels), d)
+    check(d["depth"] == depth and tuple(d["voxel_to_world"]) == matrix and d["voxels"] == len(voxels) == d["levels"][depth]["nodes"], d)
     run("svo-dump", svo, "--voxels", folder / "v.ply", "--force")
     cloud = support.ply_voxels(folder / "v.ply")
     check(cloud.keys() == voxels.keys(), "the voxel sets differ")

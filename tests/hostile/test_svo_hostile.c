@@ -7,16 +7,19 @@
 #include "test.h"
 #include "trees.h"
 
-typedef struct walk { uint32_t depth; uint64_t voxels, last; bool sound; } walk;
+typedef struct walk { uint32_t depth; uint64_t voxels, values, end; bool sound; } walk;
 
-static bool visit(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
+static bool visit(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
 {
     walk *w = user;
-    uint64_t code = svo_morton_encode(x, y, z);
+    uint64_t code = svo_morton_encode(low[0], low[1], low[2]), voxels = (uint64_t)size * size * size;
     (void)index;
-    if ((x | y | z) >> w->depth != 0 || (w->voxels != 0 && code <= w->last)) w->sound = false;
-    w->last = code;
-    w->voxels++;
+    for (int k = 0; k < 3; k++)
+        if (low[k] % size != 0 || low[k] >> w->depth != 0) w->sound = false;
+    if (code < w->end) w->sound = false;
+    w->end = code + voxels;
+    w->voxels += voxels;
+    w->values++;
     return w->sound;
 }
 
@@ -24,15 +27,15 @@ static svo_result use_chunk(const svo_tree_info *info, svo_chunk_source s, const
 {
     svo_chunk chunk;
     SVO_TRY(s.decode(s.user, packed, storage, &chunk, err));
-    uint64_t before = w->voxels, sum = 0;
-    svo_chunk_voxels(&chunk, visit, w);
+    uint64_t before = w->values, sum = 0;
+    svo_chunk_values(&chunk, visit, w);
     for (uint32_t i = 0; i < info->channel_count; i++) {
         if (chunk.channels[i] == NULL) continue;
-        for (uint64_t k = 0; k < chunk.voxel_count * svo_channel_stride(info->channels[i].kind); k++) sum += chunk.channels[i][k];
+        for (uint64_t k = 0; k < chunk.value_count * svo_channel_stride(info->channels[i].kind); k++) sum += chunk.channels[i][k];
     }
     volatile uint64_t keep = sum; /* the sanitizers have seen every byte */
     (void)keep;
-    if (w->voxels - before != chunk.voxel_count) w->sound = false;
+    if (w->values - before != chunk.value_count) w->sound = false;
     return SVO_OK;
 }
 
@@ -52,14 +55,15 @@ static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, cons
     svo_buffer packed, storage;
     svo_buffer_init(&packed, a);
     svo_buffer_init(&storage, a);
-    walk w = {info->depth, 0, 0, true};
+    walk w = {info->depth, 0, 0, 0, true};
     bool more = true;
     while (result == SVO_OK && more) {
         result = s.fetch(s.user, &packed, &more, err);
         if (result == SVO_OK && more) result = use_chunk(info, s, &packed, &storage, &w, err);
     }
     if (!w.sound) test_fail(__FILE__, __LINE__, "voxels out of order or outside the grid");
-    if (result == SVO_OK && fmt_svo_reader_counts(r)->nodes[info->depth] != w.voxels) test_fail(__FILE__, __LINE__, "counts accepted that are wrong");
+    const svo_tree_counts *counts = fmt_svo_reader_counts(r);
+    if (result == SVO_OK && (counts->nodes[info->depth] != w.voxels || counts->values != w.values)) test_fail(__FILE__, __LINE__, "counts accepted that are wrong");
     svo_buffer_free(&packed);
     svo_buffer_free(&storage);
     fmt_svo_reader_close(r);
@@ -86,3 +90,34 @@ TEST(damaged_single_voxel) { run(0, 2, 0); }
 TEST(damaged_without_channels) { run(6, 0, 0); }
 TEST(damaged_corners_of_a_deep_tree) { run(21, 2, 0); }
 TEST(damaged_clusters_with_all_channels) { run(9, 1, 1000); }
+
+/* Full leaves inside a chunk, of chunks and above them, in runs. */
+TEST(damaged_full_leaves)
+{
+    static const uint8_t masks[] = {0x03, 0x00, 0x81, 0x00, 0x01, 0x01, 0x03, 0x00, 0x03, 0x00, 0x05};
+    static const uint8_t values[] = {1, 2, 3, 4, 5, 6};
+    static const struct { uint64_t code; uint32_t level; bool tree; } items[] = {
+        {0, 1, false}, {64, 3, true}, {65, 3, false}, {9, 2, false}, {3, 1, false}, {510, 3, true}, {511, 3, false}};
+    svo_tree_info info = {.depth = 10, .fill = SVO_FILL_SOLID, .channel_count = 1, .channels = {{.name = "metallic", .kind = SVO_KIND_UNORM8}}};
+    for (int i = 0; i < 16; i += 5) info.voxel_to_world[i] = 1;
+    svo_error err;
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    fmt_output *out;
+    fmt_svo_writer *w;
+    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+    svo_chunk_sink s = fmt_svo_writer_sink(w);
+    for (size_t i = 0; i < sizeof items / sizeof items[0]; i++) {
+        svo_chunk c = {.code = items[i].code, .level = items[i].level, .depth = 10, .value_count = 1, .channels = {values}};
+        if (items[i].tree) c.node_count = sizeof masks, c.masks = masks, c.value_count = 6;
+        void *blob;
+        CHECK_OK(s.encode(s.user, &c, 0, &blob, &err));
+        CHECK_OK(s.commit(s.user, blob, &err));
+    }
+    CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    hostile_case c = {.read = read_svo, .bytes = file.data, .size = file.size, .rounds = 3000, .seed = 9};
+    hostile_run(&c);
+    svo_buffer_free(&file);
+}

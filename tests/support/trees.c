@@ -129,7 +129,7 @@ uint64_t tree_chunk(const tree *t, uint64_t first, svo_buffer *masks, svo_chunk 
         }
         end++;
     }
-    svo_chunk c = {.code = code, .level = level, .depth = depth, .node_count = masks->size, .voxel_count = end - first, .masks = masks->data};
+    svo_chunk c = {.code = code, .level = level, .depth = depth, .node_count = masks->size, .value_count = end - first, .masks = masks->data};
     for (uint32_t i = 0; i < t->info.channel_count; i++)
         if (!t->info.channels[i].constant) c.channels[i] = t->values[i] + first * svo_channel_stride(t->info.channels[i].kind);
     *chunk = c;
@@ -215,13 +215,13 @@ void tree_check(const tree *t, const svo_tree_info *info, svo_chunk_source sourc
         if (!more) break;
         CHECK_OK(source.decode(source.user, &packed, &storage, &chunk, &err));
         svo_chunk_voxels(&chunk, check_voxel, &c);
-        CHECK(c.same && c.at + chunk.voxel_count <= t->count);
+        CHECK(c.same && c.at + chunk.value_count <= t->count);
         for (uint32_t i = 0; i < info->channel_count; i++) {
             uint32_t stride = svo_channel_stride(info->channels[i].kind);
             if (info->channels[i].constant) CHECK(chunk.channels[i] == NULL);
-            else CHECK(memcmp(chunk.channels[i], t->values[i] + c.at * stride, chunk.voxel_count * stride) == 0);
+            else CHECK(memcmp(chunk.channels[i], t->values[i] + c.at * stride, chunk.value_count * stride) == 0);
         }
-        c.at += chunk.voxel_count;
+        c.at += chunk.value_count;
     }
     CHECK_U64(c.at, t->count);
     svo_buffer_free(&packed);

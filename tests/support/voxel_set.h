@@ -57,9 +57,10 @@ typedef struct voxel_set {
     uint64_t hash;
     bool keep;             /* codes and values, not only the hash */
     bool ordered;          /* chunks came in ascending order and passed svo_chunk_check */
-    uint64_t previous;
+    uint64_t previous, end;
     bool has_previous;
     uint64_t live_blobs;
+    const svo_chunk *chunk; /* in hand */
 } voxel_set;
 
 typedef struct voxel_blob {
@@ -90,7 +91,7 @@ static inline svo_result voxel_encode(void *user, const svo_chunk *chunk, uint32
     b->chunk.masks = voxel_copy(chunk->masks, chunk->node_count);
     for (uint32_t c = 0; c < s->info.channel_count; c++) {
         b->chunk.channels[c] = NULL;
-        if (!s->info.channels[c].constant) b->chunk.channels[c] = voxel_copy(chunk->channels[c], chunk->voxel_count * svo_channel_stride(s->info.channels[c].kind));
+        if (!s->info.channels[c].constant) b->chunk.channels[c] = voxel_copy(chunk->channels[c], chunk->value_count * svo_channel_stride(s->info.channels[c].kind));
     }
     *blob = b;
     __atomic_fetch_add(&s->live_blobs, 1, __ATOMIC_RELAXED);
@@ -103,11 +104,17 @@ static inline void voxel_hash(voxel_set *s, const void *bytes, uint64_t n)
 }
 static inline bool voxel_keep(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
 {
-    (void)index;
     voxel_set *s = (voxel_set *)user;
     if (s->count == s->capacity) {
         s->capacity = s->capacity * 2 + 1024;
         s->codes = (uint64_t *)realloc(s->codes, s->capacity * 8);
+        for (uint32_t c = 0; c < s->info.channel_count; c++)
+            if (!s->info.channels[c].constant) s->values[c] = (uint8_t *)realloc(s->values[c], s->capacity * svo_channel_stride(s->info.channels[c].kind));
+    }
+    for (uint32_t c = 0; c < s->info.channel_count; c++) {
+        if (s->info.channels[c].constant) continue;
+        uint64_t stride = svo_channel_stride(s->info.channels[c].kind);
+        memcpy(s->values[c] + s->count * stride, s->chunk->channels[c] + index * stride, stride);
     }
     s->codes[s->count++] = svo_morton_encode(x, y, z);
     return true;
@@ -117,23 +124,20 @@ static inline svo_result voxel_commit(void *user, void *blob, svo_error *err)
     (void)err;
     voxel_set *s = (voxel_set *)user;
     voxel_blob *b = (voxel_blob *)blob;
-    if (b->check != SVO_OK || (s->has_previous && b->chunk.code <= s->previous)) s->ordered = false;
-    svo_counts_ancestors(&s->counts, svo_chunk_level(s->info.depth), s->has_previous, s->previous, b->chunk.code);
-    s->counts.chunks++;
-    for (uint32_t l = svo_chunk_level(s->info.depth); l <= s->info.depth; l++) s->counts.nodes[l] += b->counts.nodes[l];
-    s->previous = b->chunk.code;
+    if (b->check != SVO_OK || (s->has_previous && svo_chunk_first(&b->chunk) < s->end)) s->ordered = false;
+    svo_counts_ancestors(&s->counts, svo_chunk_level(s->info.depth), b->chunk.level, s->has_previous, s->previous, svo_chunk_first(&b->chunk));
+    svo_counts_add(&s->counts, &b->counts);
+    s->previous = svo_chunk_first(&b->chunk);
+    s->end = svo_chunk_end(&b->chunk);
     s->has_previous = true;
     voxel_hash(s, &b->chunk.code, 8);
     voxel_hash(s, b->chunk.masks, b->chunk.node_count);
-    uint64_t before = s->count;
+    s->chunk = &b->chunk;
     if (s->keep) svo_chunk_voxels(&b->chunk, voxel_keep, s);
     for (uint32_t c = 0; c < s->info.channel_count; c++) {
         if (s->info.channels[c].constant) continue;
         uint64_t stride = svo_channel_stride(s->info.channels[c].kind);
-        voxel_hash(s, b->chunk.channels[c], b->chunk.voxel_count * stride);
-        if (!s->keep) continue;
-        s->values[c] = (uint8_t *)realloc(s->values[c], s->count * stride + 1);
-        memcpy(s->values[c] + before * stride, b->chunk.channels[c], b->chunk.voxel_count * stride);
+        voxel_hash(s, b->chunk.channels[c], b->chunk.value_count * stride);
     }
     __atomic_fetch_sub(&s->live_blobs, 1, __ATOMIC_RELAXED);
     voxel_blob_free(b);

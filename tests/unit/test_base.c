@@ -264,7 +264,7 @@ TEST(chunk_check_accepts_good_masks_and_refuses_bad_ones)
     svo_error err;
     svo_tree_info info = {.depth = 2};
     uint8_t masks[] = {0x81, 0x01, 0xff};
-    svo_chunk c = {.depth = 2, .node_count = 3, .voxel_count = 9, .masks = masks};
+    svo_chunk c = {.depth = 2, .node_count = 3, .value_count = 9, .masks = masks};
     svo_tree_counts counts = {0};
     CHECK_OK(svo_chunk_check(&info, &c, &counts, &err));
     CHECK(counts.nodes[0] == 1 && counts.nodes[1] == 2 && counts.nodes[2] == 9);
@@ -274,22 +274,66 @@ TEST(chunk_check_accepts_good_masks_and_refuses_bad_ones)
     svo_chunk bad = c;
     bad.node_count = 2;
     CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
-    bad = c, bad.voxel_count = 8;
+    bad = c, bad.value_count = 8;
     CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
     bad = c, bad.code = 1;
     CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
     uint8_t more[] = {0x81, 0x01, 0xff, 0x01};
     bad = c, bad.masks = more, bad.node_count = 4;
     CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
-    masks[1] = 0;
+    masks[0] = 0;
     CHECK_RESULT(svo_chunk_check(&info, &c, NULL, &err), SVO_INVALID_DATA);
+}
+
+static bool list_value(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
+{
+    voxel_list *l = user;
+    if (index != l->count) return false;
+    l->at[l->count][0] = low[0] + 100 * size, l->at[l->count][1] = low[1], l->at[l->count++][2] = low[2];
+    return true;
+}
+
+TEST(full_leaves_have_one_value_each)
+{
+    svo_error err;
+    svo_tree_info info = {.depth = 2};
+    uint8_t masks[] = {0x83, 0x00, 0x01, 0x00};
+    svo_chunk c = {.depth = 2, .node_count = 4, .value_count = 3, .masks = masks};
+    svo_tree_counts counts = {0};
+    CHECK_OK(svo_chunk_check(&info, &c, &counts, &err));
+    CHECK(counts.nodes[0] == 1 && counts.nodes[1] == 3 && counts.nodes[2] == 17 && counts.full_leaves == 2 && counts.values == 3 && counts.chunks == 1);
+    voxel_list l = {0};
+    CHECK(svo_chunk_values(&c, list_value, &l));
+    CHECK(l.count == 3 && l.at[0][0] == 200 && l.at[1][0] == 102 && l.at[2][0] == 202 && l.at[2][1] == 2 && l.at[2][2] == 2);
+    svo_chunk bad = c;
+    bad.value_count = 17;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    bad = c, bad.node_count = 3;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    bad = c, bad.node_count = 0, bad.value_count = 1; /* the root itself */
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    /* above the cut */
+    info.depth = 21;
+    svo_chunk top = {.depth = 21, .level = 1, .code = 5, .value_count = 1};
+    counts = (svo_tree_counts){0};
+    CHECK_OK(svo_chunk_check(&info, &top, &counts, &err));
+    CHECK(counts.nodes[1] == 1 && counts.nodes[21] == (uint64_t)1 << 60 && counts.chunks == 0 && counts.values == 1);
+    CHECK(svo_chunk_first(&top) == (uint64_t)5 << 39 && svo_chunk_end(&top) == (uint64_t)6 << 39);
+    bad = top, bad.code = 8;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    bad = top, bad.level = 0, bad.code = 0;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    bad = top, bad.level = 15;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
+    bad = top, bad.masks = masks, bad.node_count = 4, bad.value_count = 3;
+    CHECK_RESULT(svo_chunk_check(&info, &bad, NULL, &err), SVO_INVALID_DATA);
 }
 
 TEST(single_voxel_tree)
 {
     svo_error err;
     svo_tree_info info = {.depth = 0};
-    svo_chunk c = {.voxel_count = 1};
+    svo_chunk c = {.value_count = 1};
     svo_tree_counts counts = {0};
     CHECK_OK(svo_chunk_check(&info, &c, &counts, &err));
     CHECK(counts.nodes[0] == 1);

@@ -240,7 +240,7 @@ static svo_result solid_chunks(svo_dag_builder *b, uint32_t depth, uint64_t chun
     svo_result r = SVO_OK;
     (void)seed;
     for (uint64_t i = 0; i < chunks && r == SVO_OK; i++) {
-        svo_chunk c = {.code = i, .level = svo_chunk_level(depth), .depth = depth, .node_count = masks, .voxel_count = voxels, .masks = mask};
+        svo_chunk c = {.code = i, .level = svo_chunk_level(depth), .depth = depth, .node_count = masks, .value_count = voxels, .masks = mask};
         void *blob;
         r = s.encode(s.user, &c, 0, &blob, err);
         if (r == SVO_OK) r = s.commit(s.user, blob, err);

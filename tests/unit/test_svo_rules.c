@@ -183,7 +183,7 @@ TEST(svo_07_masks)
 
 TEST(svo_08_statistics)
 {
-    for (uint32_t i = 0; i < 11 && !test_failed(); i++) {
+    for (uint32_t i = 0; i < 13 && !test_failed(); i++) {
         begin();
         uint8_t *stat = f.chunks[stat_index()].payload.data + 8 * i;
         fmt_store64(stat, fmt_load64(stat) + 1);
@@ -206,6 +206,70 @@ TEST(svo_09_normals)
     planes[2 * voxels] = 0, planes[3 * voxels] = 0x80; /* v of the first */
     refuse("SVO-09");
     begin(), channel(1)[20] = 1, channel(1)[25] = 0x80, refuse("SVO-09");
+}
+
+/* --- full leaves --- */
+
+/* Depth 9, so C = 2: full leaves of chunks 0 and 8, chunk 9, the octants 2 and 3 of the grid. */
+static void begin_full(void)
+{
+    static const uint8_t masks[] = {0x03, 0x00, 0x81, 0x00, 0x01, 0x01, 0x03, 0x00, 0x03, 0x00, 0x05}, values[] = {1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 8, 0, 9, 0, 10, 0, 11, 0, 12, 0};
+    static svo_buffer full;
+    if (full.size == 0) {
+        static const struct { uint64_t code; uint32_t level; bool tree; } items[] = {{0, 2, false}, {8, 2, false}, {9, 2, true}, {2, 1, false}, {3, 1, false}};
+        svo_tree_info info = {.depth = 9, .fill = SVO_FILL_SOLID, .channel_count = 1, .channels = {{.name = "normal", .kind = SVO_KIND_NORMAL_OCT32}}};
+        for (int i = 0; i < 16; i += 5) info.voxel_to_world[i] = 1;
+        fmt_output *out;
+        fmt_svo_writer *w;
+        CHECK_OK(fmt_output_open_memory(&full, &out, &err));
+        CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+        svo_chunk_sink s = fmt_svo_writer_sink(w);
+        for (size_t i = 0; i < sizeof items / sizeof items[0]; i++) {
+            svo_chunk c = {.code = items[i].code, .level = items[i].level, .depth = 9, .value_count = 1, .channels = {values}};
+            if (items[i].tree) c.node_count = sizeof masks, c.masks = masks, c.value_count = 6;
+            void *blob;
+            CHECK_OK(s.encode(s.user, &c, 0, &blob, &err));
+            CHECK_OK(s.commit(s.user, blob, &err));
+        }
+        CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
+        CHECK_OK(fmt_output_commit(out, &err));
+    }
+    hostile_free(&f);
+    hostile_parse(full.data, full.size, &f); /* HEAD, FULL of 2, TREE, FULL of 2, STAT */
+}
+static uint8_t *full_payload(uint32_t i) { return f.chunks[i].payload.data; }
+
+TEST(svo_11_full_leaves)
+{
+    begin_full(), expect(SVO_OK, "");
+    CHECK(f.count == 5 && f.chunks[1].chunk.type == FMT_FOURCC('F', 'U', 'L', 'L') && f.chunks[3].chunk.id == 16);
+    begin_full(), f.chunks[1].chunk.flags = 0, refuse("SVO-11");
+    begin_full(), f.chunks[1].chunk.codec = FMT_CODEC_ZSTD, refuse("SVO-11");
+    begin_full(), f.chunks[1].chunk.id = 1, refuse("SVO-11");
+    begin_full(), f.chunks[1].chunk.element_count = 0, f.chunks[1].chunk.element_stride = 0, refuse("SVO-11");
+    begin_full(), f.chunks[1].chunk.element_count = 24, f.chunks[1].chunk.element_stride = 1, refuse("SVO-11");
+    begin_full(), fmt_store64(full_payload(1), 1), refuse("SVO-11");                   /* the root */
+    begin_full(), fmt_store64(full_payload(1), 0), refuse("SVO-11");
+    begin_full(), fmt_store64(full_payload(1), (uint64_t)1 << 9), refuse("SVO-11");    /* level 3: below the cut */
+    begin_full(), fmt_store64(full_payload(1), (uint64_t)1 << 7), refuse("SVO-11");    /* between two levels */
+    begin_full(), fmt_store64(full_payload(1), UINT64_MAX), refuse("SVO-11");
+    begin_full(), fmt_store64(full_payload(1) + 12, 64 + 0), refuse("SVO-05");         /* the same again */
+    begin_full(), fmt_store64(full_payload(1) + 12, 64 + 9), refuse("SVO-05");         /* where the TREE chunk is */
+    begin_full(), fmt_store64(full_payload(3), 8 + 1), f.chunks[3].chunk.id = 8, refuse("SVO-05"); /* over it */
+    begin_full(), hostile_swap(&f, 1, 2), refuse("SVO-05");
+    begin_full(), hostile_swap(&f, 3, 4), refuse("SVO-0");
+    begin_full(), hostile_drop(&f, 1), refuse("SVO-08");
+    begin_full(), full_payload(1)[8] = 0, full_payload(1)[9] = 0x80, refuse("SVO-09");
+    begin_full(), f.chunks[2].payload.data[16 + 1] = 1, refuse("SVO-07"); /* a mask where a full leaf was */
+    begin_full(), f.chunks[2].payload.data[16] = 0, refuse("SVO-07");
+    begin_full(), fmt_store64(f.chunks[4].payload.data + 8, 7), refuse("SVO-08");
+    /* a TREE chunk that is one full leaf belongs into FULL */
+    begin_full();
+    static const uint8_t leaf[20] = {0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 5, 0, 6, 0};
+    f.chunks[2].payload.size = 0;
+    CHECK(svo_buffer_append(&f.chunks[2].payload, leaf, sizeof leaf) != NULL);
+    f.chunks[2].chunk.element_count = 1;
+    refuse("SVO-07");
 }
 
 TEST(unknown_chunks)
@@ -256,7 +320,7 @@ TEST(the_writer_refuses_what_no_file_may_hold)
     CHECK_RESULT(s.commit(s.user, blob, &err), SVO_RUNTIME); /* the same chunk again */
     CHECK_OK(s.encode(s.user, &chunk, 0, &blob, &err));
     s.discard(s.user, blob);
-    chunk.voxel_count--;
+    chunk.value_count--;
     CHECK_RESULT(s.encode(s.user, &chunk, 0, &blob, &err), SVO_INVALID_DATA);
     svo_buffer_free(&masks);
     fmt_svo_writer_discard(w);

@@ -8,7 +8,7 @@ int main(void)
 {
     svo_tree_info info = {.depth = 2, .voxel_to_world = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}};
     const uint8_t masks[2] = {1 << 0, 1 << 1}; /* octant 0 of the root, and in it octant 1: the voxel (1, 0, 0) */
-    svo_chunk chunk = {.depth = 2, .node_count = 2, .voxel_count = 1, .masks = masks};
+    svo_chunk chunk = {.depth = 2, .node_count = 2, .value_count = 1, .masks = masks};
     svo_dag_builder *builder;
     svo_packed *packed;
     svo_error err;
