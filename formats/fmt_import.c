@@ -94,6 +94,8 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->max_file_bytes = o->max_file_bytes != 0 ? o->max_file_bytes : (uint64_t)16 << 30;
     c->max_image_pixels = o->max_image_pixels;
     c->skip_images = o->skip_images;
+    c->threads = o->threads;
+    c->block_bytes = o->block_bytes;
     c->file_read = o->file_read;
     c->file_read_user = o->file_read_user;
     const char *slash = strrchr(path, '/');

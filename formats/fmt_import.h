@@ -13,6 +13,8 @@ typedef struct fmt_import_options {
     uint64_t max_file_bytes;        /* a file (also one referred to); 0 = 16 GiB */
     uint64_t max_image_pixels;      /* 0 = 2^28 */
     bool skip_images;               /* do not decode textures (geometry only) */
+    uint32_t threads;               /* 0 = all; the mesh does not depend on it */
+    uint64_t block_bytes;           /* text is cut into blocks of about this size, which are read in parallel; 0 = 1 MiB; nor on this */
     svo_warnings *warnings;         /* may be NULL */
     /* Called for every file that was read, the model first and then what it refers to (materials, buffers, textures), in
      * the order of reading, with its path as it was opened and its bytes, which are valid during the call only. May be

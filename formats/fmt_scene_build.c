@@ -183,7 +183,8 @@ static svo_result open_svo(fmt_scene_build *b, entry *e, svo_error *err)
 
 static fmt_import_options import_options(const fmt_scene_build *b, bool skip_images)
 {
-    fmt_import_options o = {.allocator = b->allocator, .skip_images = skip_images, .warnings = skip_images ? NULL : b->options.voxelize.warnings};
+    fmt_import_options o = {.allocator = b->allocator, .skip_images = skip_images, .threads = b->options.voxelize.threads,
+                            .warnings = skip_images ? NULL : b->options.voxelize.warnings};
     return o;
 }
 

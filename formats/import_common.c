@@ -130,6 +130,12 @@ bool import_find(const import_context *c, const char *reference, char path[IMPOR
     return find_nocase(c, name, path);
 }
 
+uint64_t import_block_bytes(const import_context *c, uint64_t size)
+{
+    uint64_t least = c->block_bytes != 0 ? c->block_bytes : 1 << 20;
+    return least < size / 2048 ? size / 2048 : least;
+}
+
 /* --- images --- */
 
 void import_images_init(import_images *images, const import_context *c)
@@ -225,7 +231,10 @@ svo_result import_exact(svo_buffer *b, size_t elem, void **out, uint64_t *count,
 {
     uint64_t n = b->size / elem;
     void *p = NULL;
-    if (n != 0) {
+    if (n != 0 && b->capacity == n * elem) {
+        p = b->data;
+        svo_buffer_init(b, b->allocator);
+    } else if (n != 0) {
         p = svo_alloc(b->allocator, n, elem);
         if (p == NULL) return import_no_memory(err);
         memcpy(p, b->data, (size_t)n * elem);

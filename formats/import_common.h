@@ -18,6 +18,8 @@ typedef struct import_context {
     const svo_allocator *allocator;
     svo_warnings *warnings;
     uint64_t max_file_bytes, max_image_pixels;
+    uint32_t threads;     /* 0 = all */
+    uint64_t block_bytes; /* as in fmt_import_options */
     bool skip_images;
     void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size); /* may be NULL */
     void *file_read_user;
@@ -34,6 +36,9 @@ bool import_find(const import_context *c, const char *reference, char path[IMPOR
 
 /* fmt_bytes_open within the context's limits, and tell file_read. All importers open files with it alone. */
 svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err);
+
+/* Least part of a text of `size` bytes that is read on its own: not so small that the bookkeeping of blocks counts. */
+uint64_t import_block_bytes(const import_context *c, uint64_t size);
 
 /* --- images --- */
 typedef struct import_images {

@@ -1,17 +1,16 @@
-/* Wavefront OBJ, the text. Own parser: correctly rounded doubles, any line length, counts bounded by the bytes. */
+/* Wavefront OBJ: the text is cut into blocks that are read in parallel (import_obj_lines.c), then put together in file order.
+ * Nothing depends on how it is cut. */
 #include "import_obj.h"
 
 #include <string.h>
 
-#include "import_text.h"
-
-static uint64_t count_of(const svo_buffer *b, size_t elem) { return b->size / elem; }
+#include "svo_task.h"
 
 static void obj_init(obj_file *f, const import_context *c)
 {
     memset(f, 0, sizeof *f);
     f->context = c;
-    svo_buffer *all[] = {&f->positions, &f->colors, &f->uvs, &f->normals, &f->groups, &f->slots, &f->libraries, &f->joined};
+    svo_buffer *all[] = {&f->groups, &f->slots, &f->libraries};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) svo_buffer_init(all[i], c->allocator);
     f->current = SVO_NONE;
 }
@@ -20,20 +19,19 @@ static void obj_free(obj_file *f)
 {
     const svo_allocator *a = f->context->allocator;
     obj_group *group = (obj_group *)(void *)f->groups.data;
-    for (uint64_t i = 0; i < count_of(&f->groups, sizeof *group); i++) {
+    for (uint64_t i = 0; i < f->groups.size / sizeof *group; i++) {
         svo_string_free(a, group[i].material);
-        svo_buffer_free(&group[i].corners);
-        svo_buffer_free(&group[i].sizes);
+        svo_free(a, group[i].corners, group[i].corner_count, sizeof *group[i].corners);
+        svo_free(a, group[i].sizes, group[i].face_count, sizeof *group[i].sizes);
     }
     char **library = (char **)(void *)f->libraries.data;
-    for (uint64_t i = 0; i < count_of(&f->libraries, sizeof *library); i++) svo_string_free(a, library[i]);
-    svo_buffer *all[] = {&f->positions, &f->colors, &f->uvs, &f->normals, &f->groups, &f->slots, &f->libraries, &f->joined};
+    for (uint64_t i = 0; i < f->libraries.size / sizeof *library; i++) svo_string_free(a, library[i]);
+    svo_buffer *all[] = {&f->groups, &f->slots, &f->libraries};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) svo_buffer_free(all[i]);
-}
-
-static svo_result bad_line(const obj_file *f, uint64_t line, const char *what, svo_error *err)
-{
-    return svo_fail(err, SVO_INVALID_DATA, "%s:%llu: %s", f->context->path, (unsigned long long)line, what);
+    svo_free(a, f->values.positions, f->values.count[OBJ_V], 3 * sizeof(double));
+    svo_free(a, f->values.uvs, f->values.count[OBJ_VT], 2 * sizeof(float));
+    svo_free(a, f->values.normals, f->values.count[OBJ_VN], 3 * sizeof(float));
+    svo_free(a, f->colors, f->color_count, 3 * sizeof(float));
 }
 
 /* --- groups by material name --- */
@@ -47,7 +45,7 @@ static uint32_t hash_name(const char *name, size_t n)
 
 static svo_result grow_slots(obj_file *f, svo_error *err)
 {
-    uint64_t groups = count_of(&f->groups, sizeof(obj_group)), size = count_of(&f->slots, sizeof(uint32_t));
+    uint64_t groups = f->groups.size / sizeof(obj_group), size = f->slots.size / sizeof(uint32_t);
     if (2 * (groups + 1) <= size) return SVO_OK;
     size = size == 0 ? 64 : 2 * size;
     f->slots.size = 0;
@@ -70,7 +68,7 @@ static svo_result use_material(obj_file *f, const char *name, size_t n, bool nam
     const char *nul = memchr(name, '\0', n);
     if (nul != NULL) n = (size_t)(nul - name);
     uint32_t *slot = (uint32_t *)(void *)f->slots.data;
-    uint64_t mask = count_of(&f->slots, sizeof *slot) - 1;
+    uint64_t mask = f->slots.size / sizeof *slot - 1;
     uint64_t at = hash_name(name, n) & mask;
     for (; slot[at] != SVO_NONE; at = (at + 1) & mask) {
         const obj_group *g = (const obj_group *)(void *)f->groups.data + slot[at];
@@ -82,8 +80,6 @@ static svo_result use_material(obj_file *f, const char *name, size_t n, bool nam
         }
     }
     obj_group group = {.resolved = SVO_NONE};
-    svo_buffer_init(&group.corners, f->context->allocator);
-    svo_buffer_init(&group.sizes, f->context->allocator);
     if (named) {
         group.material = svo_alloc(f->context->allocator, n + 1, 1);
         if (group.material == NULL) return import_no_memory(err);
@@ -94,109 +90,8 @@ static svo_result use_material(obj_file *f, const char *name, size_t n, bool nam
         svo_string_free(f->context->allocator, group.material);
         return import_no_memory(err);
     }
-    f->current = slot[at] = (uint32_t)(count_of(&f->groups, sizeof group) - 1);
+    f->current = slot[at] = (uint32_t)(f->groups.size / sizeof group - 1);
     return SVO_OK;
-}
-
-/* --- lines --- */
-
-/* Up to max numbers of a line; SVO_NONE when one is not a number. */
-static uint32_t read_numbers(const char *p, const char *end, double *v, uint32_t max)
-{
-    uint32_t n = 0;
-    while (n < max) {
-        p = import_skip_blank(p, end);
-        if (p == end || *p == '#') break;
-        p = import_double(p, end, &v[n]);
-        if (p == NULL) return SVO_NONE;
-        n++;
-    }
-    return n;
-}
-
-static svo_result read_vertex(obj_file *f, const char *p, const char *end, uint64_t line, svo_error *err)
-{
-    double v[8];
-    uint32_t n = read_numbers(p, end, v, 8);
-    if (n == SVO_NONE) return bad_line(f, line, "a vertex has something that is not a number", err);
-    if (n < 3) return bad_line(f, line, "a vertex has fewer than three coordinates", err);
-    if (count_of(&f->positions, 3 * sizeof(double)) >= SVO_NONE - 1) return bad_line(f, line, "more than 2^32 vertices", err);
-    if (svo_buffer_append(&f->positions, v, 3 * sizeof(double)) == NULL) return import_no_memory(err);
-    if (n < 6) return SVO_OK; /* a fourth number is a rational weight, which polygons do not use */
-    const double *rgb = v + n - (n == 8 ? 5 : 3);
-    uint64_t vertices = count_of(&f->positions, 3 * sizeof(double)), colors = count_of(&f->colors, 3 * sizeof(float));
-    for (; colors + 1 < vertices; colors++) {
-        static const float white[3] = {1, 1, 1};
-        if (svo_buffer_append(&f->colors, white, sizeof white) == NULL) return import_no_memory(err);
-    }
-    float c[3] = {(float)rgb[0], (float)rgb[1], (float)rgb[2]};
-    f->large_colors = f->large_colors || rgb[0] > 1 || rgb[1] > 1 || rgb[2] > 1;
-    return svo_buffer_append(&f->colors, c, sizeof c) != NULL ? SVO_OK : import_no_memory(err);
-}
-
-static svo_result read_floats(obj_file *f, svo_buffer *to, uint32_t want, uint32_t least, const char *p, const char *end, uint64_t line,
-                              svo_error *err)
-{
-    double v[3] = {0, 0, 0};
-    uint32_t n = read_numbers(p, end, v, want);
-    if (n == SVO_NONE || n < least) return bad_line(f, line, "a texture coordinate or normal is not made of numbers", err);
-    float x[3] = {(float)v[0], (float)v[1], (float)v[2]};
-    if (to->size / (want * sizeof(float)) >= SVO_NONE - 1) return bad_line(f, line, "more than 2^32 texture coordinates or normals", err);
-    return svo_buffer_append(to, x, want * sizeof(float)) != NULL ? SVO_OK : import_no_memory(err);
-}
-
-/* 1-based or negative (from the end) to zero-based. Whether it exists is known at the end of the file only. */
-static bool index_of(int64_t i, uint64_t count, uint32_t *out)
-{
-    int64_t zero = i > 0 ? i - 1 : (int64_t)count + i;
-    if (i == 0 || zero < 0 || zero >= (int64_t)SVO_NONE) return false;
-    *out = (uint32_t)zero;
-    return true;
-}
-
-/* One "v", "v/vt", "v//vn" or "v/vt/vn"; NULL when it is broken. */
-static const char *read_corner(const obj_file *f, const char *p, const char *end, obj_corner *c)
-{
-    int64_t i;
-    *c = (obj_corner){SVO_NONE, SVO_NONE, SVO_NONE};
-    p = import_integer(p, end, &i);
-    if (p == NULL || !index_of(i, count_of(&f->positions, 3 * sizeof(double)), &c->v)) return NULL;
-    if (p == end || *p != '/') return p;
-    p++;
-    if (p < end && (import_digit(*p) || *p == '-' || *p == '+')) {
-        p = import_integer(p, end, &i);
-        if (p == NULL || !index_of(i, count_of(&f->uvs, 2 * sizeof(float)), &c->vt)) return NULL;
-    }
-    if (p == end || *p != '/') return p;
-    p++;
-    if (p < end && (import_digit(*p) || *p == '-' || *p == '+')) {
-        p = import_integer(p, end, &i);
-        if (p == NULL || !index_of(i, count_of(&f->normals, 3 * sizeof(float)), &c->vn)) return NULL;
-    }
-    return p;
-}
-
-static svo_result read_face(obj_file *f, const char *p, const char *end, uint64_t line, svo_error *err)
-{
-    if (f->current == SVO_NONE) SVO_TRY(use_material(f, "", 0, false, err));
-    obj_group *g = (obj_group *)(void *)f->groups.data + f->current;
-    size_t before = g->corners.size;
-    uint32_t n = 0;
-    for (;;) {
-        p = import_skip_blank(p, end);
-        if (p == end || *p == '#') break;
-        obj_corner c;
-        p = read_corner(f, p, end, &c);
-        if (p == NULL || (p < end && !import_blank(*p))) return bad_line(f, line, "a face has something that is not a vertex reference", err);
-        if (svo_buffer_append(&g->corners, &c, sizeof c) == NULL) return import_no_memory(err);
-        n++;
-    }
-    if (n < 3) {
-        g->corners.size = before;
-        svo_warn(f->context->warnings, "%s: faces with fewer than three corners are left out", f->context->path);
-        return SVO_OK;
-    }
-    return svo_buffer_append(&g->sizes, &n, sizeof n) != NULL ? SVO_OK : import_no_memory(err);
 }
 
 static svo_result add_library(obj_file *f, const char *p, const char *end, svo_error *err)
@@ -218,84 +113,209 @@ static svo_result add_library(obj_file *f, const char *p, const char *end, svo_e
     return SVO_OK;
 }
 
-static const char *trim_end(const char *p, const char *end)
-{
-    while (end > p && import_space(end[-1])) end--;
-    return end;
-}
+/* --- blocks --- */
 
-static svo_result read_line(obj_file *f, const char *p, const char *end, uint64_t line, svo_error *err)
-{
-    p = import_skip_blank(p, end);
-    if (p == end) return SVO_OK;
-    const char *rest;
-    switch (*p) {
-    case 'v':
-        if (end - p < 2) return SVO_OK;
-        if (import_blank(p[1])) return read_vertex(f, p + 2, end, line, err);
-        if (end - p > 2 && p[1] == 't' && import_blank(p[2])) return read_floats(f, &f->uvs, 2, 1, p + 3, end, line, err);
-        if (end - p > 2 && p[1] == 'n' && import_blank(p[2])) return read_floats(f, &f->normals, 3, 3, p + 3, end, line, err);
-        return SVO_OK;
-    case 'f':
-        rest = import_word(p, end, "f");
-        if (rest == NULL) rest = import_word(p, end, "fo"); /* an old name of the same */
-        return rest != NULL ? read_face(f, rest, end, line, err) : SVO_OK;
-    case 'u':
-        rest = import_word(p, end, "usemtl");
-        if (rest == NULL) return SVO_OK;
-        rest = import_skip_blank(rest, end);
-        end = trim_end(rest, end);
-        return use_material(f, rest, (size_t)(end - rest), true, err);
-    case 'm':
-        rest = import_word(p, end, "mtllib");
-        if (rest == NULL) return SVO_OK;
-        rest = import_skip_blank(rest, end);
-        end = trim_end(rest, end);
-        return end > rest ? add_library(f, rest, end, err) : SVO_OK;
-    case 'p':
-    case 'l':
-        if (import_word(p, end, "p") != NULL || import_word(p, end, "l") != NULL)
-            svo_warn(f->context->warnings, "%s: points and lines are left out", f->context->path);
-        return SVO_OK;
-    case 'c':
-    case 's':
-        if (import_word(p, end, "curv") != NULL || import_word(p, end, "surf") != NULL || import_word(p, end, "cstype") != NULL)
-            svo_warn(f->context->warnings, "%s: free-form curves and surfaces are left out", f->context->path);
-        return SVO_OK;
-    default: return SVO_OK;
-    }
-}
+typedef struct obj_blocks {
+    obj_file *file;
+    obj_block *list;
+    uint64_t count, capacity;
+} obj_blocks;
 
-static svo_result read_lines(obj_file *f, const char *p, const char *end, svo_error *err)
+static svo_result cut_blocks(obj_blocks *b, const import_context *c, const char *p, const char *end, svo_error *err)
 {
-    for (uint64_t line = 1; p < end; line++) {
-        const char *stop = memchr(p, '\n', (size_t)(end - p));
-        if (stop == NULL) stop = end;
-        const char *last = trim_end(p, stop);
-        if (last == p || last[-1] != '\\') {
-            SVO_TRY(read_line(f, p, stop, line, err));
-            p = stop < end ? stop + 1 : end;
-            continue;
-        }
-        /* continued on the next line */
-        uint64_t first = line;
-        f->joined.size = 0;
-        for (;;) {
-            bool more = last > p && last[-1] == '\\';
-            size_t n = (size_t)(last - p) - (more ? 1 : 0);
-            if ((n != 0 && svo_buffer_append(&f->joined, p, n) == NULL) || svo_buffer_append(&f->joined, " ", 1) == NULL)
-                return import_no_memory(err);
-            p = stop < end ? stop + 1 : end;
-            if (!more || p == end) break;
-            line++;
-            stop = memchr(p, '\n', (size_t)(end - p));
-            if (stop == NULL) stop = end;
-            last = trim_end(p, stop);
-        }
-        const char *text = (const char *)f->joined.data;
-        SVO_TRY(read_line(f, text, text + f->joined.size, first, err));
+    uint64_t size = (uint64_t)(end - p), least = import_block_bytes(c, size);
+    b->capacity = size / least + 1;
+    b->list = svo_calloc(c->allocator, b->capacity, sizeof *b->list);
+    if (b->list == NULL) return import_no_memory(err);
+    const char *begin = p;
+    while (p < end) {
+        const char *stop = (uint64_t)(end - p) <= least ? end : obj_line_end(begin, p + least - 1, end);
+        obj_block *n = &b->list[b->count++];
+        obj_block_init(n, c);
+        n->begin = p;
+        n->end = stop;
+        p = stop;
     }
     return SVO_OK;
+}
+
+static void free_blocks(obj_blocks *b)
+{
+    for (uint64_t i = 0; i < b->count; i++) obj_block_free(&b->list[i]);
+    svo_free(b->file->context->allocator, b->list, b->capacity, sizeof *b->list);
+}
+
+static svo_result count_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    obj_blocks *b = user;
+    for (uint64_t i = begin; i < end; i++) SVO_TRY(obj_block_count(&b->list[i], err));
+    return SVO_OK;
+}
+
+static svo_result read_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    obj_blocks *b = user;
+    for (uint64_t i = begin; i < end; i++) SVO_TRY(obj_block_read(&b->list[i], err));
+    return SVO_OK;
+}
+
+/* Arrays for all numbers, and where those of each block go. */
+static svo_result place_values(obj_blocks *b, svo_error *err)
+{
+    obj_file *f = b->file;
+    obj_values *v = &f->values;
+    const svo_allocator *a = f->context->allocator;
+    uint64_t line = 1, count[OBJ_KINDS] = {0};
+    for (uint64_t i = 0; i < b->count; i++) {
+        obj_block *n = &b->list[i];
+        n->values = v;
+        n->first_line = line;
+        line += n->lines;
+        for (int k = 0; k < OBJ_KINDS; k++) {
+            n->first[k] = count[k];
+            count[k] += n->count[k];
+        }
+    }
+    for (int k = 0; k < OBJ_KINDS; k++)
+        if (count[k] >= SVO_NONE - 1)
+            return svo_fail(err, SVO_INVALID_DATA, "%s: more than 2^32 vertices, texture coordinates or normals", f->context->path);
+    v->positions = svo_alloc(a, count[OBJ_V], 3 * sizeof(double));
+    if (count[OBJ_V] != 0 && v->positions == NULL) return import_no_memory(err);
+    v->count[OBJ_V] = count[OBJ_V];
+    v->uvs = svo_alloc(a, count[OBJ_VT], 2 * sizeof(float));
+    if (count[OBJ_VT] != 0 && v->uvs == NULL) return import_no_memory(err);
+    v->count[OBJ_VT] = count[OBJ_VT];
+    v->normals = svo_alloc(a, count[OBJ_VN], 3 * sizeof(float));
+    if (count[OBJ_VN] != 0 && v->normals == NULL) return import_no_memory(err);
+    v->count[OBJ_VN] = count[OBJ_VN];
+    return SVO_OK;
+}
+
+static svo_result join_colors(obj_blocks *b, svo_error *err)
+{
+    obj_file *f = b->file;
+    const size_t color = 3 * sizeof(float);
+    for (uint64_t i = 0; i < b->count; i++) {
+        const obj_block *n = &b->list[i];
+        if (n->colors.size != 0) f->color_count = n->first[OBJ_V] + n->colors.size / color;
+        f->large_colors |= n->large_colors;
+    }
+    if (f->color_count == 0) return SVO_OK;
+    f->colors = svo_alloc(f->context->allocator, f->color_count, color);
+    if (f->colors == NULL) return import_no_memory(err);
+    for (uint64_t i = 0; i < 3 * f->color_count; i++) f->colors[i] = 1;
+    for (uint64_t i = 0; i < b->count; i++) {
+        obj_block *n = &b->list[i];
+        if (n->colors.size != 0) memcpy(f->colors + 3 * n->first[OBJ_V], n->colors.data, n->colors.size);
+        svo_buffer_free(&n->colors);
+    }
+    return SVO_OK;
+}
+
+static void warn_oddities(const obj_blocks *b)
+{
+    static const char *const text[OBJ_ODDITIES] = {
+        [OBJ_SHORT_FACES] = "%s: faces with fewer than three corners are left out",
+        [OBJ_POINTS] = "%s: points and lines are left out",
+        [OBJ_CURVES] = "%s: free-form curves and surfaces are left out",
+    };
+    bool told[OBJ_ODDITIES] = {false};
+    for (uint64_t i = 0; i < b->count; i++)
+        for (uint32_t k = 0; k < b->list[i].odd_count; k++) {
+            obj_oddity what = b->list[i].odd[k];
+            if (!told[what]) svo_warn(b->file->context->warnings, text[what], b->file->context->path);
+            told[what] = true;
+        }
+}
+
+/* Faces and corners of a block between an event and the next. */
+static void event_counts(const obj_block *b, uint64_t i, uint64_t *corners, uint64_t *faces)
+{
+    const obj_event *e = (const obj_event *)(const void *)b->events.data;
+    bool last = i + 1 == b->events.size / sizeof *e;
+    *corners = (last ? b->corners.size / sizeof(obj_corner) : e[i + 1].corners) - e[i].corners;
+    *faces = (last ? b->sizes.size / sizeof(uint32_t) : e[i + 1].faces) - e[i].faces;
+}
+
+/* Groups, libraries, and the places of all corners in them. */
+static svo_result replay_events(obj_blocks *b, svo_error *err)
+{
+    obj_file *f = b->file;
+    for (uint64_t k = 0; k < b->count; k++) {
+        obj_block *n = &b->list[k];
+        obj_event *e = (obj_event *)(void *)n->events.data;
+        for (uint64_t i = 0; i < n->events.size / sizeof *e; i++) {
+            const char *name = (const char *)n->names.data + e[i].name;
+            if (e[i].kind == OBJ_USEMTL) SVO_TRY(use_material(f, name, e[i].length, true, err));
+            if (e[i].kind == OBJ_MTLLIB) SVO_TRY(add_library(f, name, name + e[i].length, err));
+            uint64_t corners, faces;
+            event_counts(n, i, &corners, &faces);
+            if (faces == 0) continue;
+            if (f->current == SVO_NONE) SVO_TRY(use_material(f, "", 0, false, err));
+            obj_group *g = (obj_group *)(void *)f->groups.data + f->current;
+            e[i].group = f->current;
+            e[i].to_corner = g->corner_count;
+            e[i].to_face = g->face_count;
+            g->corner_count += corners;
+            g->face_count += faces;
+        }
+    }
+    obj_group *g = (obj_group *)(void *)f->groups.data;
+    svo_result r = SVO_OK;
+    for (uint64_t i = 0; i < f->groups.size / sizeof *g; i++) {
+        /* Counts are what the arrays have, so that obj_free is right after a failure. */
+        uint64_t corners = g[i].corner_count, faces = g[i].face_count;
+        g[i].corner_count = g[i].face_count = 0;
+        if (faces == 0 || r != SVO_OK) continue;
+        g[i].corners = svo_alloc(f->context->allocator, corners, sizeof *g[i].corners);
+        if (g[i].corners != NULL) g[i].corner_count = corners;
+        g[i].sizes = svo_alloc(f->context->allocator, faces, sizeof *g[i].sizes);
+        if (g[i].sizes != NULL) g[i].face_count = faces;
+        if (g[i].corners == NULL || g[i].sizes == NULL) r = import_no_memory(err);
+    }
+    return r;
+}
+
+static svo_result gather_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    obj_blocks *b = user;
+    obj_group *group = (obj_group *)(void *)b->file->groups.data;
+    for (uint64_t k = begin; k < end; k++) {
+        obj_block *n = &b->list[k];
+        const obj_event *e = (const obj_event *)(const void *)n->events.data;
+        const obj_corner *corner = (const obj_corner *)(const void *)n->corners.data;
+        const uint32_t *size = (const uint32_t *)(const void *)n->sizes.data;
+        for (uint64_t i = 0; i < n->events.size / sizeof *e; i++) {
+            uint64_t corners, faces;
+            event_counts(n, i, &corners, &faces);
+            if (faces == 0) continue;
+            memcpy(group[e[i].group].corners + e[i].to_corner, corner + e[i].corners, (size_t)corners * sizeof *corner);
+            memcpy(group[e[i].group].sizes + e[i].to_face, size + e[i].faces, (size_t)faces * sizeof *size);
+        }
+        obj_block_free(n);
+    }
+    return SVO_OK;
+}
+
+static svo_result read_text(obj_file *f, const char *p, const char *end, svo_error *err)
+{
+    const import_context *c = f->context;
+    obj_blocks b = {.file = f};
+    svo_result r = cut_blocks(&b, c, p, end, err);
+    if (r == SVO_OK) r = svo_parallel_for(c->threads, b.count, 1, count_block, &b, err);
+    if (r == SVO_OK) r = place_values(&b, err);
+    if (r == SVO_OK) r = svo_parallel_for(c->threads, b.count, 1, read_block, &b, err);
+    if (r == SVO_OK) {
+        warn_oddities(&b);
+        r = join_colors(&b, err);
+    }
+    if (r == SVO_OK) r = replay_events(&b, err);
+    if (r == SVO_OK) r = svo_parallel_for(c->threads, b.count, 1, gather_block, &b, err);
+    free_blocks(&b);
+    return r;
 }
 
 /* --- libraries --- */
@@ -322,7 +342,7 @@ static svo_result read_library(obj_file *f, mtl_set *materials, const char *name
 static svo_result read_libraries(obj_file *f, mtl_set *materials, svo_error *err)
 {
     char **name = (char **)(void *)f->libraries.data;
-    for (uint64_t i = 0; i < count_of(&f->libraries, sizeof *name); i++) {
+    for (uint64_t i = 0; i < f->libraries.size / sizeof *name; i++) {
         bool found = false;
         SVO_TRY(read_library(f, materials, name[i], &found, err));
         if (found) continue;
@@ -384,7 +404,7 @@ svo_result import_obj(const import_context *c, const uint8_t *bytes, uint64_t si
         p += 3;
         size -= 3;
     }
-    if (r == SVO_OK && size != 0) r = read_lines(&f, p, p + size, err);
+    if (r == SVO_OK && size != 0) r = read_text(&f, p, p + size, err);
     if (r == SVO_OK) r = read_libraries(&f, &materials, err);
     if (r == SVO_OK) r = obj_build(&f, &materials, mesh, err);
     obj_free(&f);

@@ -109,13 +109,18 @@ static void colors_to_linear(ply_reader *r, svo_buffer *colors, ply_type type)
     }
 }
 
+void ply_warn_extra(const ply_reader *r)
+{
+    svo_warn(r->c->warnings, "%s: values beyond what the PLY header names are ignored", r->c->path);
+}
+
 /* An ASCII row is a line. Some writers put more on it than their header says; that is skipped. */
 static void end_row(ply_reader *r)
 {
     if (!r->ascii) return;
     const char *end = (const char *)r->end, *p = import_skip_blank((const char *)r->p, end);
     if (p < end && *p != '\n') {
-        svo_warn(r->c->warnings, "%s: values beyond what the PLY header names are ignored", r->c->path);
+        ply_warn_extra(r);
         const char *stop = memchr(p, '\n', (size_t)(end - p));
         p = stop != NULL ? stop : end;
     }
@@ -132,7 +137,9 @@ static svo_result read_vertices(ply_reader *r, const ply_element *e, svo_error *
     if (!xyz) return svo_fail(err, SVO_INVALID_DATA, "%s: PLY vertices have no x, y and z", r->c->path);
     if (e->count >= SVO_NONE) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 vertices", r->c->path);
     import_soup *s = &r->soup;
-    for (uint64_t row = 0; row < e->count; row++) {
+    bool done;
+    SVO_TRY(ply_read_fast(r, e, &done, err));
+    for (uint64_t row = 0; row < e->count && !done; row++) {
         double v[PLY_VALUES];
         v[PLY_A] = -1; /* none */
         for (uint32_t i = 0; i < e->property_count; i++) {
@@ -212,7 +219,9 @@ static svo_result read_faces(ply_reader *r, const ply_element *e, svo_error *err
     bool indices = has(e, PLY_INDICES, NULL);
     import_soup *s = &r->soup;
     if (!indices && e->count != 0) svo_warn(r->c->warnings, "%s: PLY faces without vertex indices are left out", r->c->path);
-    for (uint64_t row = 0; row < e->count; row++) {
+    bool done;
+    SVO_TRY(ply_read_fast(r, e, &done, err));
+    for (uint64_t row = 0; row < e->count && !done; row++) {
         size_t corners = s->corners.size, corner_uvs = s->corner_uvs.size;
         face_row f;
         SVO_TRY(read_face_row(r, e, row, &f, err));
@@ -308,13 +317,17 @@ static svo_result read_elements(ply_reader *r, svo_error *err)
         case PLY_VERTEX: vertices = true; SVO_TRY(read_vertices(r, e, err)); break;
         case PLY_FACE: faces = e->count != 0; SVO_TRY(read_faces(r, e, err)); break;
         case PLY_TRISTRIPS:
+            r->irregular = true;
             if (faces) { /* the same surface twice */
                 SVO_TRY(skip_element(r, e, err));
                 break;
             }
             SVO_TRY(read_strips(r, e, err));
             break;
-        case PLY_SKIPPED: SVO_TRY(skip_element(r, e, err)); break;
+        case PLY_SKIPPED:
+            r->irregular |= r->ascii && e->count != 0;
+            SVO_TRY(skip_element(r, e, err));
+            break;
         }
     }
     if (r->ascii) r->p = (const uint8_t *)import_skip_space((const char *)r->p, (const char *)r->end);
@@ -334,6 +347,7 @@ svo_result import_ply(const import_context *c, const uint8_t *bytes, uint64_t si
     svo_result result = ply_read_header(r, err);
     if (result == SVO_OK) result = read_elements(r, err);
     if (result == SVO_OK) result = soup_build(&r->soup, c, mesh, err);
+    ply_lines_free(r);
     soup_free(&r->soup);
     svo_buffer_free(&r->list);
     svo_free(c->allocator, r, 1, sizeof *r);

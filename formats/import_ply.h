@@ -30,6 +30,8 @@ typedef struct ply_element {
     ply_property properties[PLY_MAX_PROPERTIES];
 } ply_element;
 
+typedef struct ply_lines ply_lines;
+
 typedef struct ply_reader {
     const import_context *c;
     import_soup soup;
@@ -38,11 +40,18 @@ typedef struct ply_reader {
     uint32_t element_count;
     ply_element elements[PLY_MAX_ELEMENTS];
     svo_buffer list; /* double: values of the list just read */
+    ply_lines *lines; /* of ASCII rows, once an element was read by them */
+    bool irregular;   /* ASCII rows are not one a line from here on */
 } ply_reader;
 
 /* Reads up to and with end_header; texture files go into soup.images. */
 svo_result ply_read_header(ply_reader *r, svo_error *err);
 uint32_t ply_type_size(ply_type t);
 bool ply_is_integer(ply_type t);
+
+/* Read the vertices or faces at r->p in parallel. *done is false, and r->p and the soup are as before, when that is not possible. */
+svo_result ply_read_fast(ply_reader *r, const ply_element *e, bool *done, svo_error *err);
+void ply_lines_free(ply_reader *r);
+void ply_warn_extra(const ply_reader *r); /* more on a line than the header says */
 
 #endif

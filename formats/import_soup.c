@@ -24,7 +24,7 @@ uint64_t soup_vertex_count(const import_soup *s) { return s->positions.size / (3
 typedef struct soup_builder {
     import_soup *s;
     const import_context *c;
-    bool unshared, face_colors;
+    bool unshared, face_colors, triangular; /* triangular: no face has more than three corners */
     svo_buffer triangles; /* uint32_t: corner numbers */
     svo_buffer polygon, scratch;
     bool fanned;
@@ -43,6 +43,10 @@ static svo_result cut(soup_builder *b, uint32_t image, svo_error *err)
         if (image != SVO_NONE && face_image[f] != image) continue;
         uint32_t *out = svo_buffer_append(&b->triangles, NULL, (size_t)(n - 2) * 3 * sizeof *out);
         if (out == NULL) return import_no_memory(err);
+        if (n == 3) {
+            for (uint32_t k = 0; k < 3; k++) out[k] = (uint32_t)base + k;
+            continue;
+        }
         b->polygon.size = 0;
         double *p = svo_buffer_append(&b->polygon, NULL, (size_t)n * 3 * sizeof *p);
         if (p == NULL) return import_no_memory(err);
@@ -68,19 +72,32 @@ static svo_result make_arrays(soup_builder *b, svo_part *part, bool uvs, svo_err
     return ok ? SVO_OK : import_no_memory(err);
 }
 
-/* Vertices as in the file. */
+/* Vertices as in the file: the soup's arrays become the part's. */
 static svo_result shared_part(soup_builder *b, svo_part *part, svo_error *err)
 {
-    const import_soup *s = b->s;
+    import_soup *s = b->s;
     const uint32_t *corner = (const uint32_t *)(void *)s->corners.data, *t = (const uint32_t *)(void *)b->triangles.data;
-    part->vertex_count = soup_vertex_count(s);
-    part->triangle_count = b->triangles.size / (3 * sizeof *t);
-    SVO_TRY(make_arrays(b, part, s->uvs.size != 0, err));
-    memcpy(part->positions, s->positions.data, s->positions.size);
-    if (part->normals != NULL) memcpy(part->normals, s->normals.data, s->normals.size);
-    if (part->uvs[0] != NULL) memcpy(part->uvs[0], s->uvs.data, s->uvs.size);
-    if (part->colors != NULL) memcpy(part->colors, s->colors.data, s->colors.size);
-    for (uint64_t i = 0; i < 3 * part->triangle_count; i++) part->indices[i] = corner[t[i]];
+    uint64_t vertices = soup_vertex_count(s), count;
+    void *array;
+    part->vertex_count = vertices;
+    if (b->triangular) {
+        SVO_TRY(import_exact(&s->corners, 3 * sizeof *t, &array, &part->triangle_count, err));
+        part->indices = array;
+    } else {
+        uint64_t triangles = b->triangles.size / (3 * sizeof *t);
+        part->indices = svo_alloc(b->c->allocator, triangles, 3 * sizeof *t);
+        if (part->indices == NULL) return import_no_memory(err);
+        part->triangle_count = triangles;
+        for (uint64_t i = 0; i < 3 * triangles; i++) part->indices[i] = corner[t[i]];
+    }
+    SVO_TRY(import_exact(&s->positions, 3 * sizeof(double), &array, &count, err));
+    part->positions = array;
+    SVO_TRY(import_exact(&s->normals, 3 * sizeof(float), &array, &count, err));
+    part->normals = array;
+    SVO_TRY(import_exact(&s->uvs, 2 * sizeof(float), &array, &count, err));
+    part->uvs[0] = array;
+    SVO_TRY(import_exact(&s->colors, 4 * sizeof(float), &array, &count, err));
+    part->colors = array;
     return SVO_OK;
 }
 
@@ -157,8 +174,12 @@ static svo_result make_parts(soup_builder *b, svo_buffer *parts, svo_error *err)
     svo_result r = b->face_colors ? corner_faces(b, &faces, err) : SVO_OK;
     for (uint32_t i = 0; r == SVO_OK && i < (split ? images : 1); i++) {
         svo_part part = {.material = images > 0 ? i : SVO_NONE};
-        r = cut(b, split ? i : SVO_NONE, err);
-        if (r != SVO_OK || b->triangles.size == 0) continue;
+        if (b->triangular && !b->unshared) {
+            if (s->sizes.size == 0) continue;
+        } else {
+            r = cut(b, split ? i : SVO_NONE, err);
+            if (r != SVO_OK || b->triangles.size == 0) continue;
+        }
         r = b->unshared ? unshared_part(b, (const uint32_t *)(void *)faces.data, &part, err) : shared_part(b, &part, err);
         if (r == SVO_OK && svo_buffer_append(parts, &part, sizeof part) == NULL) r = import_no_memory(err);
         if (r != SVO_OK) import_part_free(b->c->allocator, &part);
@@ -177,6 +198,9 @@ svo_result soup_build(import_soup *s, const import_context *c, svo_mesh *mesh, s
     svo_buffer_init(&parts, c->allocator);
     b.face_colors = s->face_colors.size != 0 && s->colors.size == 0;
     b.unshared = b.face_colors || s->corner_uvs.size != 0 || s->face_images.size != 0;
+    const uint32_t *size = (const uint32_t *)(const void *)s->sizes.data;
+    b.triangular = true;
+    for (uint64_t i = 0; i < s->sizes.size / sizeof *size; i++) b.triangular &= size[i] == 3;
     if (s->short_faces) svo_warn(c->warnings, "%s: faces with fewer than three corners are left out", c->path);
     svo_result r = s->corners.size / sizeof(uint32_t) < SVO_NONE ? SVO_OK : svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
     if (r == SVO_OK) r = make_materials(&b, mesh, err);

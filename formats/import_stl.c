@@ -5,6 +5,9 @@
 #include "fmt_container.h"
 #include "import_common.h"
 #include "import_text.h"
+#include "svo_task.h"
+
+enum { GRAIN = 1 << 14 }; /* triangles of a parallel block */
 
 static svo_result make_mesh(const import_context *c, double *positions, uint64_t triangles, svo_mesh *mesh, svo_error *err)
 {
@@ -22,6 +25,28 @@ static svo_result make_mesh(const import_context *c, double *positions, uint64_t
     return import_single_shape(c, part, 1, mesh, err);
 }
 
+typedef struct binary_job {
+    const uint8_t *records;
+    double *positions;
+    bool attributes; /* set by any thread */
+} binary_job;
+
+static svo_result binary_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    binary_job *j = user;
+    bool attributes = false;
+    for (uint64_t i = begin; i < end; i++) {
+        const uint8_t *p = j->records + 50 * i;
+        float v[9];
+        memcpy(v, p + 12, sizeof v);
+        for (uint64_t k = 0; k < 9; k++) j->positions[9 * i + k] = (double)v[k];
+        attributes |= p[48] != 0 || p[49] != 0;
+    }
+    if (attributes) __atomic_store_n(&j->attributes, true, __ATOMIC_RELAXED);
+    return SVO_OK;
+}
+
 static svo_result read_binary(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
 {
     if (size < 84) return svo_fail(err, SVO_INVALID_DATA, "%s: neither ASCII STL nor long enough for binary STL", c->path);
@@ -37,15 +62,13 @@ static svo_result read_binary(const import_context *c, const uint8_t *bytes, uin
     if (3 * n >= SVO_NONE) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
     double *positions = svo_alloc(c->allocator, 3 * n, 3 * sizeof *positions);
     if (positions == NULL) return import_no_memory(err);
-    bool attributes = false;
-    for (uint64_t i = 0; i < n; i++) {
-        const uint8_t *p = bytes + 84 + 50 * i;
-        float v[9];
-        memcpy(v, p + 12, sizeof v);
-        for (uint64_t k = 0; k < 9; k++) positions[9 * i + k] = (double)v[k];
-        attributes = attributes || p[48] != 0 || p[49] != 0;
+    binary_job j = {.records = bytes + 84, .positions = positions};
+    svo_result r = svo_parallel_for(c->threads, n, GRAIN, binary_block, &j, err);
+    if (r != SVO_OK) {
+        svo_free(c->allocator, positions, 3 * n, 3 * sizeof *positions);
+        return r;
     }
-    if (attributes) svo_warn(c->warnings, "%s: STL attribute bytes (colours of some programs) are not read", c->path);
+    if (j.attributes) svo_warn(c->warnings, "%s: STL attribute bytes (colours of some programs) are not read", c->path);
     return make_mesh(c, positions, n, mesh, err);
 }
 
@@ -57,6 +80,7 @@ typedef struct stl_text {
     svo_buffer scratch;
     bool open, fanned;    /* between "outer loop" and "endloop" */
     uint64_t solids;      /* "solid" minus "endsolid" */
+    bool part, irregular; /* a block of the text; it cannot be read alone */
 } stl_text;
 
 static svo_result bad(const stl_text *t, const char *what, svo_error *err)
@@ -129,8 +153,10 @@ static svo_result read_text(stl_text *t, svo_error *err)
         } else if ((q = import_word_nocase(t->p, t->end, "facet")) != NULL) {
             if (t->open) return bad(t, "a facet within a loop", err);
             t->p = import_skip_space(q, t->end);
-            for (int k = 0; k < 4; k++) /* "normal" and three numbers, which are not used */
+            for (int k = 0; k < 4; k++) { /* "normal" and three numbers, which are not used */
+                t->irregular |= t->p == t->end;
                 t->p = import_skip_space(import_token_end(t->p, t->end), t->end);
+            }
         } else if (import_word_nocase(t->p, t->end, "solid") != NULL) {
             t->solids++;
             skip_line(t);
@@ -142,25 +168,111 @@ static svo_result read_text(stl_text *t, svo_error *err)
             return bad(t, "not a word of ASCII STL", err);
         }
     }
-    if (t->open || t->solids != 0) return svo_fail(err, SVO_INVALID_DATA, "%s: the file ends within a solid", t->c->path);
+    if (!t->part && (t->open || t->solids != 0)) return svo_fail(err, SVO_INVALID_DATA, "%s: the file ends within a solid", t->c->path);
     return SVO_OK;
+}
+
+/* --- blocks of text, which end with a line "endfacet" --- */
+
+typedef struct stl_blocks {
+    stl_text *list;
+    uint64_t count, capacity;
+    bool irregular; /* set by any thread */
+} stl_blocks;
+
+static void text_init(stl_text *t, const import_context *c, const char *start, const char *p, const char *end)
+{
+    *t = (stl_text){.c = c, .p = p, .start = start, .end = end};
+    svo_buffer_init(&t->positions, c->allocator);
+    svo_buffer_init(&t->loop, c->allocator);
+    svo_buffer_init(&t->scratch, c->allocator);
+}
+
+static void text_free(stl_text *t)
+{
+    svo_buffer_free(&t->positions);
+    svo_buffer_free(&t->loop);
+    svo_buffer_free(&t->scratch);
+}
+
+/* The end of the first line "endfacet" that begins at p or later. */
+static const char *facet_end(const char *p, const char *end)
+{
+    while (p < end) {
+        const char *stop = memchr(p, '\n', (size_t)(end - p));
+        if (stop == NULL) return end;
+        const char *word = import_word_nocase(import_skip_blank(p, stop), stop, "endfacet");
+        p = stop + 1;
+        if (word != NULL && import_skip_blank(word, stop) == stop) return p;
+    }
+    return end;
+}
+
+static bool cut_blocks(stl_blocks *b, const import_context *c, const char *p, const char *end)
+{
+    uint64_t size = (uint64_t)(end - p), least = import_block_bytes(c, size);
+    b->capacity = size / least + 1;
+    b->list = svo_calloc(c->allocator, b->capacity, sizeof *b->list);
+    if (b->list == NULL) return false;
+    const char *start = p;
+    while (p < end) {
+        const char *line = (uint64_t)(end - p) <= least ? NULL : memchr(p + least - 1, '\n', (size_t)(end - p) - least + 1);
+        const char *stop = line != NULL ? facet_end(line + 1, end) : end;
+        stl_text *t = &b->list[b->count++];
+        text_init(t, c, start, p, stop);
+        t->part = true;
+        t->solids = p > start;
+        p = stop;
+    }
+    return true;
+}
+
+static svo_result read_block(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    stl_blocks *b = user;
+    for (uint64_t i = begin; i < end; i++) {
+        stl_text *t = &b->list[i];
+        svo_error unused;
+        /* One solid, from the first block to the last. */
+        bool good = read_text(t, &unused) == SVO_OK && !t->open && !t->irregular && t->solids == (i + 1 < b->count);
+        if (!good) __atomic_store_n(&b->irregular, true, __ATOMIC_RELAXED);
+    }
+    return SVO_OK;
+}
+
+/* All blocks on their own; false, with nothing told, where that cannot be done. */
+static bool read_blocks(const import_context *c, const char *p, const char *end, svo_buffer *positions, bool *fanned)
+{
+    stl_blocks b = {0};
+    svo_error unused;
+    size_t size = 0;
+    bool good = cut_blocks(&b, c, p, end) && b.count > 1 && svo_parallel_for(c->threads, b.count, 1, read_block, &b, &unused) == SVO_OK && !b.irregular;
+    for (uint64_t i = 0; i < b.count; i++) size += b.list[i].positions.size;
+    good = good && svo_buffer_reserve(positions, size);
+    for (uint64_t i = 0; i < b.count; i++) {
+        if (good) svo_buffer_append(positions, b.list[i].positions.data, b.list[i].positions.size);
+        if (good) *fanned |= b.list[i].fanned;
+        text_free(&b.list[i]);
+    }
+    svo_free(c->allocator, b.list, b.capacity, sizeof *b.list);
+    return good;
 }
 
 static svo_result read_ascii(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
 {
-    stl_text t = {.c = c, .p = (const char *)bytes, .start = (const char *)bytes, .end = (const char *)bytes + size};
-    svo_buffer_init(&t.positions, c->allocator);
-    svo_buffer_init(&t.loop, c->allocator);
-    svo_buffer_init(&t.scratch, c->allocator);
-    svo_result r = read_text(&t, err);
+    stl_text t;
+    const char *p = (const char *)bytes;
+    text_init(&t, c, p, p, p + size);
+    svo_result r = SVO_OK;
+    if (!read_blocks(c, p, p + size, &t.positions, &t.fanned)) r = read_text(&t, err);
     uint64_t n = 0;
     void *positions = NULL;
+    if (r == SVO_OK && t.fanned) svo_warn(c->warnings, "%s: some polygons cross themselves; they were cut as fans", c->path);
     if (r == SVO_OK && t.positions.size / (3 * sizeof(double)) >= SVO_NONE) r = svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
     if (r == SVO_OK) r = import_exact(&t.positions, 3 * sizeof(double), &positions, &n, err);
     if (r == SVO_OK) r = n != 0 ? make_mesh(c, positions, n / 3, mesh, err) : import_single_shape(c, NULL, 0, mesh, err);
-    svo_buffer_free(&t.positions);
-    svo_buffer_free(&t.loop);
-    svo_buffer_free(&t.scratch);
+    text_free(&t);
     return r;
 }
 

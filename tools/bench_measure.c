@@ -312,7 +312,7 @@ static svo_result import(work *w, svo_error *err)
 {
     cli_phase(w->b->c, "import");
     /* The textures' alpha decides which voxels there are; skeletons take the triangles alone. */
-    fmt_import_options o = {.allocator = &w->memory.base, .skip_images = w->b->sweep == SWEEP_OMEGA, .warnings = &w->b->c->warnings};
+    fmt_import_options o = {.allocator = &w->memory.base, .threads = (uint32_t)w->b->c->threads, .skip_images = w->b->sweep == SWEEP_OMEGA, .warnings = &w->b->c->warnings};
     double start = svo_seconds();
     SVO_TRY(fmt_import_mesh(w->b->models[w->model].path, &o, &w->mesh, err));
     w->import_seconds = svo_seconds() - start;

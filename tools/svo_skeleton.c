@@ -93,7 +93,7 @@ static svo_result from_mesh(cli *c, const skel_options *o, skel_skeleton *out, j
     fmt_bytes_close(&bytes);
     json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hash));
     svo_mesh mesh = {0};
-    fmt_import_options import = {.allocator = o->allocator, .skip_images = true, .warnings = &c->warnings};
+    fmt_import_options import = {.allocator = o->allocator, .threads = (uint32_t)c->threads, .skip_images = true, .warnings = &c->warnings};
     SVO_TRY(fmt_import_mesh(c->inputs[0], &import, &mesh, err));
     svo_mesh_counts n = svo_mesh_count(&mesh);
     json_t *input = cli_section(c, "input");

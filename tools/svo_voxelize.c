@@ -37,7 +37,7 @@ static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json
     svo_result r = SVO_OK;
     for (; r == SVO_OK && done < count; done++) {
         size_t first = read->count;
-        fmt_import_options o = {.allocator = a, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read};
+        fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read};
         r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
         if (r == SVO_OK && read->failed) {
             svo_mesh_free(&meshes[done]);
