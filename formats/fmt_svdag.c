@@ -79,7 +79,7 @@ static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_
     if (c->encoding == SVO_ENCODING_RAW) return put(w, ARAW, i, v->attribute_count, stride, c->raw, err);
     if (c->encoding != SVO_ENCODING_BLOCKS) return SVO_OK;
     SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
-    SVO_TRY(put(w, ADIR, i, c->superblock_count, 8, c->directory, err));
+    SVO_TRY(put(w, ADIR, i, c->superblock_count, SVO_PALETTE_ENTRY, c->directory, err));
     return put(w, APAY, i, c->payload_size, 1, c->payload, err);
 }
 
@@ -219,7 +219,6 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     svo_view_channel *c = &v->channels[i];
     uint32_t stride = svo_channel_stride(c->channel.kind);
     const fmt_chunk *chunk;
-    const uint8_t *b;
     if (c->encoding == SVO_ENCODING_CONSTANT) return SVO_OK;
     if (c->encoding == SVO_ENCODING_RAW) {
         SVO_TRY(take(r, ARAW, i, stride, &chunk, &c->raw));
@@ -227,8 +226,7 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     }
     SVO_TRY(take(r, ATBL, i, stride, &chunk, &c->table));
     if (chunk->element_count != c->table_count) return bad(r, chunk, "wrong number of table entries (DAG-08)");
-    SVO_TRY(take(r, ADIR, i, 8, &chunk, &b));
-    c->directory = (const uint64_t *)(const void *)b;
+    SVO_TRY(take(r, ADIR, i, SVO_PALETTE_ENTRY, &chunk, &c->directory));
     c->superblock_count = chunk->element_count;
     SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
     c->payload_size = chunk->stored_size;

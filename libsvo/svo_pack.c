@@ -205,7 +205,7 @@ static int compare_channels(const svo_view *v, const svo_view_channel *a, const 
     COMPARE(a->superblock_count, b->superblock_count);
     COMPARE(a->payload_size, b->payload_size);
     if ((c = compare_bytes(a->table, b->table, a->table_count * stride)) != 0) return c;
-    if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * sizeof *a->directory)) != 0) return c;
+    if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * SVO_PALETTE_ENTRY)) != 0) return c;
     return compare_bytes(a->payload, b->payload, a->payload_size);
 }
 

@@ -1,265 +1,216 @@
+/* Reading and proving blocks; docs/format/svdag.md, "Palette blocks". */
 #include "svo_palette.h"
 
-#include "svo_task.h"
+#include "svoi_palette.h"
 
-enum {
-    GRANULES = 64,    /* in a superblock */
-    LEVELS = 7,       /* block sizes 16 << 0 .. 16 << 6 */
-    MAX_WIDTH = 6,    /* bits of a palette index */
-    MODE_RAW = 7,
-    HEADER_BITS = 16, /* of a block */
-    BATCH = 64,       /* superblocks a task */
-    SEEN = 2048       /* slots of the table below, a power of two > 1024 */
-};
+/* --- components, lines, lattices --------------------------------------------------------------------------------- */
 
-/* Positions of values in the current superblock, or numbers in the current palette. A slot is valid when its stamp is
- * the current one, so clearing costs nothing. */
-typedef struct seen {
-    uint32_t stamp;
-    struct { uint32_t stamp, key, value; } slot[SEEN];
-} seen;
-
-static uint32_t *seen_find(seen *s, uint32_t key, bool *found)
+uint32_t svo_lattice_components(svo_channel_kind kind)
 {
-    uint32_t i = (key * 2654435761u) >> 21;
-    while (s->slot[i].stamp == s->stamp && s->slot[i].key != key) i = (i + 1) & (SEEN - 1);
-    *found = s->slot[i].stamp == s->stamp;
-    s->slot[i].stamp = s->stamp;
-    s->slot[i].key = key;
-    return &s->slot[i].value;
+    return kind == SVO_KIND_COLOR_SRGB8 ? 3 : kind == SVO_KIND_NORMAL_OCT32 ? 2 : 1;
 }
 
-static uint32_t data_bytes(uint32_t mode, uint32_t granules, uint32_t distinct, uint32_t table_bits)
+void svo_lattice_split(svo_channel_kind kind, uint32_t value, int32_t c[3])
 {
-    uint32_t n = granules * SVO_GRANULE, bits;
-    if (mode == 0) bits = table_bits;
-    else if (mode == MODE_RAW) bits = n * table_bits;
-    else bits = n * mode + distinct * table_bits;
-    return (bits + 7) / 8;
-}
-
-/* Cheapest way to store a block; ties go to the smaller mode. */
-static uint32_t best_mode(uint32_t granules, uint32_t distinct, uint32_t table_bits, uint32_t *bytes)
-{
-    uint32_t mode = MODE_RAW;
-    *bytes = data_bytes(MODE_RAW, granules, distinct, table_bits);
-    if (distinct == 1) mode = 0;
-    else {
-        uint32_t width = 32 - (uint32_t)__builtin_clz(distinct - 1);
-        if (width <= MAX_WIDTH && data_bytes(width, granules, distinct, table_bits) <= *bytes) mode = width;
-    }
-    if (mode != MODE_RAW) *bytes = data_bytes(mode, granules, distinct, table_bits);
-    return mode;
-}
-
-/* Distinct values of every dyadic range, level by level: a value counts in those ranges that hold no earlier equal one. */
-static void count_distinct(seen *s, const uint32_t *v, uint32_t n, uint16_t distinct[LEVELS][GRANULES])
-{
-    memset(distinct, 0, sizeof(uint16_t) * LEVELS * GRANULES);
-    s->stamp++;
-    for (uint32_t i = 0; i < n; i++) {
-        bool found;
-        uint32_t *last = seen_find(s, v[i], &found);
-        /* ranges of 16 << k that hold i but not *last: those with a differing bit at or above 4 + k */
-        uint32_t differ = found ? (*last ^ i) >> 4 : GRANULES;
-        for (uint32_t k = 0; k < LEVELS && differ >> k != 0; k++) distinct[k][i >> (4 + k)]++;
-        *last = i;
+    if (kind == SVO_KIND_COLOR_SRGB8) { /* YCoCg-R: exact integers */
+        int32_t r = value & 255, g = value >> 8 & 255, b = value >> 16 & 255;
+        int32_t co = r - b, t = b + (co >> 1), cg = g - t;
+        c[0] = t + (cg >> 1), c[1] = co, c[2] = cg;
+    } else if (kind == SVO_KIND_NORMAL_OCT32) {
+        c[0] = (int16_t)(uint16_t)value, c[1] = (int16_t)(uint16_t)(value >> 16), c[2] = 0;
+    } else {
+        memcpy(&c[0], &value, sizeof value); /* labels: unsigned, see svo_lattice_point */
+        c[1] = c[2] = 0;
     }
 }
 
-/* Bottom-up: keep a range whole where that is not dearer than its halves. Returns the map of block begins. */
-static uint64_t choose_blocks(uint16_t distinct[LEVELS][GRANULES], uint32_t granules, uint32_t table_bits)
+static uint32_t clamp8(int32_t v) { return v < 0 ? 0 : v > 255 ? 255 : (uint32_t)v; }
+static uint32_t clamp16(int64_t v) { return (uint16_t)(int16_t)(v < -32767 ? -32767 : v > 32767 ? 32767 : v); }
+
+uint32_t svo_lattice_point(svo_channel_kind kind, const svo_lattice *l, uint32_t number)
 {
-    uint32_t cost[GRANULES]; /* bits, of the ranges of the level below */
-    uint64_t map = granules == GRANULES ? ~(uint64_t)0 : ((uint64_t)1 << granules) - 1;
-    for (uint32_t i = 0; i < granules; i++) {
-        uint32_t bytes;
-        best_mode(1, distinct[0][i], table_bits, &bytes);
-        cost[i] = HEADER_BITS + 8 * bytes;
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: {
+        uint32_t n0 = (uint32_t)l->n[0], n1 = (uint32_t)l->n[1], q = number / n0, p = q / n1;
+        int32_t y = l->low[0] + (int32_t)((number - q * n0) * l->step[0]);
+        int32_t co = l->low[1] + (int32_t)((q - p * n1) * l->step[1]);
+        int32_t cg = l->low[2] + (int32_t)(p * l->step[2]);
+        int32_t t = y - (cg >> 1), g = cg + t, b = t - (co >> 1), r = b + co;
+        return clamp8(r) | clamp8(g) << 8 | clamp8(b) << 16;
     }
-    for (uint32_t k = 1; k < LEVELS; k++) {
-        uint32_t ranges = (granules + (1u << k) - 1) >> k, below = (granules + (1u << (k - 1)) - 1) >> (k - 1);
-        for (uint32_t i = 0; i < ranges; i++) {
-            if (2 * i + 1 >= below) { /* nothing to merge with */
-                cost[i] = cost[2 * i];
-                continue;
-            }
-            uint32_t begin = i << k, end = begin + (1u << k), bytes;
-            if (end > granules) end = granules;
-            best_mode(end - begin, distinct[k][i], table_bits, &bytes);
-            uint32_t whole = HEADER_BITS + 8 * bytes, split = cost[2 * i] + cost[2 * i + 1];
-            cost[i] = split;
-            if (whole <= split) {
-                cost[i] = whole;
-                map &= ~((((uint64_t)1 << (end - begin - 1)) - 1) << (begin + 1));
-            }
+    case SVO_KIND_NORMAL_OCT32: {
+        uint32_t n0 = (uint32_t)l->n[0], q = number / n0;
+        return clamp16(l->low[0] + (int64_t)(number - q * n0) * l->step[0]) | clamp16(l->low[1] + (int64_t)q * l->step[1]) << 16;
+    }
+    case SVO_KIND_UNORM8: return clamp8(l->low[0] + (int32_t)(number * l->step[0]));
+    case SVO_KIND_ID16: return ((uint32_t)l->low[0] + number) & 0xffff;
+    case SVO_KIND_ID32: return (uint32_t)l->low[0] + number;
+    }
+    return 0;
+}
+
+static uint32_t between(uint32_t a, uint32_t b, uint32_t number, uint32_t most) { return (a * (most - number) + b * number + most / 2) / most; }
+
+uint32_t svo_line_point(svo_channel_kind kind, uint32_t a, uint32_t b, uint32_t number, uint32_t most)
+{
+    if (kind == SVO_KIND_NORMAL_OCT32) {
+        a ^= 0x80008000u, b ^= 0x80008000u; /* as unsigned numbers */
+        return (between(a & 0xffff, b & 0xffff, number, most) | between(a >> 16, b >> 16, number, most) << 16) ^ 0x80008000u;
+    }
+    return between(a & 255, b & 255, number, most) | between(a >> 8 & 255, b >> 8 & 255, number, most) << 8 |
+           between(a >> 16 & 255, b >> 16 & 255, number, most) << 16;
+}
+
+/* Bits of the fields of one component of a lattice: low, n - 1, step. */
+typedef struct fields { uint8_t low, n, step; } fields;
+
+static fields lattice_fields(svo_channel_kind kind, uint32_t component)
+{
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: return component == 0 ? (fields){8, 8, 5} : (fields){9, 9, 5};
+    case SVO_KIND_NORMAL_OCT32: return (fields){16, 16, 7};
+    case SVO_KIND_UNORM8: return (fields){8, 8, 5};
+    case SVO_KIND_ID16: return (fields){16, 16, 0};
+    case SVO_KIND_ID32: break;
+    }
+    return (fields){32, 32, 0};
+}
+
+static int32_t lattice_offset(svo_channel_kind kind, uint32_t component)
+{
+    return kind == SVO_KIND_NORMAL_OCT32 ? 32768 : kind == SVO_KIND_COLOR_SRGB8 && component != 0 ? 256 : 0;
+}
+
+uint32_t svo_lattice_header_bits(svo_channel_kind kind)
+{
+    uint32_t bits = 0;
+    for (uint32_t i = 0; i < svo_lattice_components(kind); i++) {
+        fields f = lattice_fields(kind, i);
+        bits += f.low + f.n + f.step;
+    }
+    return bits;
+}
+
+uint32_t svoi_step_of(svo_channel_kind kind, uint32_t code)
+{
+    if (kind == SVO_KIND_NORMAL_OCT32) return (8 + (code & 7)) << (code >> 3) >> 3;
+    return code + 1;
+}
+
+uint32_t svoi_step_code(svo_channel_kind kind, uint32_t step)
+{
+    if (kind != SVO_KIND_NORMAL_OCT32) return step > 32 ? 31 : step - 1;
+    uint32_t code = 0;
+    while (code < 127 && svoi_step_of(kind, code + 1) <= step) code++;
+    return code;
+}
+
+void svoi_lattice_width(svo_lattice *l)
+{
+    uint64_t points = l->n[0] * l->n[1] * l->n[2];
+    l->bits = points > 1 ? 64 - (uint32_t)__builtin_clzll(points - 1) : 0;
+}
+
+static void read_lattice(svo_channel_kind kind, const uint8_t *data, svo_lattice *l)
+{
+    uint32_t at = 0, components = svo_lattice_components(kind);
+    l->n[1] = l->n[2] = 1;
+    for (uint32_t i = 0; i < components; i++) {
+        fields f = lattice_fields(kind, i);
+        l->low[i] = (int32_t)((uint32_t)svo_palette_bits(data, at, f.low) - (uint32_t)lattice_offset(kind, i));
+        at += f.low;
+        l->n[i] = svo_palette_bits(data, at, f.n) + 1;
+        at += f.n;
+        l->step[i] = svoi_step_of(kind, (uint32_t)svo_palette_bits(data, at, f.step));
+        at += f.step;
+    }
+    svoi_lattice_width(l);
+}
+
+void svoi_put_lattice(svoi_bits *w, svo_channel_kind kind, const svo_lattice *l)
+{
+    for (uint32_t i = 0; i < svo_lattice_components(kind); i++) {
+        fields f = lattice_fields(kind, i);
+        svoi_put(w, (uint32_t)l->low[i] + (uint32_t)lattice_offset(kind, i), f.low);
+        svoi_put(w, (uint32_t)(l->n[i] - 1), f.n);
+        svoi_put(w, svoi_step_code(kind, l->step[i]), f.step);
+    }
+}
+
+/* --- reading ----------------------------------------------------------------------------------------------------- */
+
+static uint32_t table_value(const svo_palette *p, uint64_t index)
+{
+    switch (p->kind) {
+    case SVO_KIND_COLOR_SRGB8: {
+        const uint8_t *t = p->table + 3 * index;
+        return t[0] | (uint32_t)t[1] << 8 | (uint32_t)t[2] << 16;
+    }
+    case SVO_KIND_UNORM8: return p->table[index];
+    case SVO_KIND_ID16: return p->table[2 * index] | (uint32_t)p->table[2 * index + 1] << 8;
+    case SVO_KIND_NORMAL_OCT32:
+    case SVO_KIND_ID32: break;
+    }
+    uint32_t v;
+    memcpy(&v, p->table + 4 * index, sizeof v);
+    return v;
+}
+
+/* Number of set bits among the first n + 1 from bit `at` on, less one. */
+static uint32_t rank_of(const uint8_t *data, uint32_t at, uint32_t n)
+{
+    uint32_t count = 0, done = 0;
+    for (; done + 56 <= n + 1; done += 56) count += (uint32_t)__builtin_popcountll(svo_palette_bits(data, at + done, 56));
+    return count + (uint32_t)__builtin_popcountll(svo_palette_bits(data, at + done, n + 1 - done)) - 1;
+}
+
+/* Of value `j` in a block of `length`: the number stored for it. Numbers begin at bit `at`; with runs, flags come first. */
+static uint32_t number_of(const uint8_t *data, uint32_t at, uint32_t j, uint32_t length, uint32_t width, bool runs)
+{
+    if (!runs) return (uint32_t)svo_palette_bits(data, at + (uint64_t)j * width, width);
+    return (uint32_t)svo_palette_bits(data, at + length + (uint64_t)rank_of(data, at, j) * width, width);
+}
+
+uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
+{
+    uint64_t s = i / SVO_SUPERBLOCK, map, base;
+    const uint8_t *entry = p->directory + s * SVO_PALETTE_ENTRY;
+    uint32_t offset, b = svo_palette_table_bits(p->table_count);
+    memcpy(&map, entry, sizeof map);
+    memcpy(&offset, entry + 8, sizeof offset);
+    memcpy(&base, p->payload + s / SVO_PALETTE_GROUP * 8, sizeof base);
+    const uint8_t *super = p->payload + base + offset;
+    uint32_t granule = (uint32_t)(i / SVO_GRANULE) & 63;
+    uint64_t upto = ~(uint64_t)0 >> (63 - granule), below = map & upto, above = map & ~upto;
+    uint32_t block = (uint32_t)__builtin_popcountll(below) - 1, begin = 63 - (uint32_t)__builtin_clzll(below);
+    uint16_t header;
+    memcpy(&header, super + 2 * block, sizeof header);
+    uint32_t mode = header & 31, field = header >> 5;
+    if (mode < SVO_BLOCK_ONE_WIDE) return table_value(p, mode << 11 | field);
+    const uint8_t *data = super + field;
+    uint32_t j = (uint32_t)(i % SVO_SUPERBLOCK) - begin * SVO_GRANULE;
+    uint32_t length = ((above != 0 ? (uint32_t)__builtin_ctzll(above) : 64) - begin) * SVO_GRANULE;
+    if (mode >= SVO_BLOCK_PALETTE) {
+        bool runs = mode >= SVO_BLOCK_PALETTE_RUNS;
+        if (!runs) {
+            uint32_t width = mode - SVO_BLOCK_PALETTE + 1;
+            uint64_t n = svo_palette_bits(data, (uint64_t)j * width, width);
+            return table_value(p, svo_palette_bits(data, (uint64_t)length * width + n * b, b));
         }
+        uint32_t width = mode - SVO_BLOCK_PALETTE_RUNS + 2, n = number_of(data, 8 + (data[0] + 1u) * b, j, length, width, true);
+        return table_value(p, svo_palette_bits(data, 8 + (uint64_t)n * b, b));
     }
-    return map;
-}
-
-typedef struct bit_writer {
-    uint8_t *p;
-    uint64_t bits;
-    uint32_t held;
-} bit_writer;
-
-static void put(bit_writer *w, uint32_t value, uint32_t width)
-{
-    w->bits |= (uint64_t)value << w->held;
-    w->held += width;
-    while (w->held >= 8) {
-        *w->p++ = (uint8_t)w->bits;
-        w->bits >>= 8;
-        w->held -= 8;
+    if (mode >= SVO_BLOCK_LINE) {
+        bool runs = mode >= SVO_BLOCK_LINE_RUNS;
+        uint32_t width = mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
+        return svo_line_point(p->kind, table_value(p, svo_palette_bits(data, 0, b)), table_value(p, svo_palette_bits(data, b, b)),
+                              number_of(data, 2 * b, j, length, width, runs), (1u << width) - 1);
     }
-}
-
-static void put_end(bit_writer *w)
-{
-    if (w->held != 0) *w->p++ = (uint8_t)w->bits;
-    w->bits = 0;
-    w->held = 0;
-}
-
-/* One block; v has granules * 16 values (the last one repeated at the very end of the channel). */
-static uint32_t write_block(seen *s, bit_writer *w, const uint32_t *v, uint32_t granules, uint32_t table_bits)
-{
-    uint32_t n = granules * SVO_GRANULE, palette[SVO_SUPERBLOCK], number[SVO_SUPERBLOCK], distinct = 0, bytes;
-    s->stamp++;
-    for (uint32_t i = 0; i < n; i++) {
-        bool found;
-        uint32_t *slot = seen_find(s, v[i], &found);
-        if (!found) {
-            *slot = distinct;
-            palette[distinct++] = v[i];
-        }
-        number[i] = *slot;
-    }
-    uint32_t mode = best_mode(granules, distinct, table_bits, &bytes);
-    if (mode == 0) put(w, v[0], table_bits);
-    else if (mode == MODE_RAW)
-        for (uint32_t i = 0; i < n; i++) put(w, v[i], table_bits);
-    else {
-        for (uint32_t i = 0; i < n; i++) put(w, number[i], mode);
-        for (uint32_t i = 0; i < distinct; i++) put(w, palette[i], table_bits);
-    }
-    put_end(w);
-    return mode;
-}
-
-/* Largest superblock: map, headers, and never more than raw indices plus what a header and its rounding take. */
-enum { SUPERBLOCK_MAX = 8 + 2 * GRANULES + 4 * SVO_SUPERBLOCK + GRANULES };
-
-static uint32_t write_superblock(seen *s, uint32_t *v, uint32_t n, uint32_t table_bits, uint8_t *out, svo_palette_stats *stats)
-{
-    uint32_t granules = (n + SVO_GRANULE - 1) / SVO_GRANULE;
-    for (uint32_t i = n; i < granules * SVO_GRANULE; i++) v[i] = v[n - 1];
-    uint16_t distinct[LEVELS][GRANULES];
-    count_distinct(s, v, n, distinct);
-    uint64_t map = choose_blocks(distinct, granules, table_bits);
-    uint32_t blocks = (uint32_t)__builtin_popcountll(map);
-    uint64_t stored = granules < GRANULES ? map | (uint64_t)1 << granules : map; /* the end of the last block */
-    memcpy(out, &stored, sizeof stored);
-    bit_writer w = {.p = out + 8 + 2 * blocks};
-    for (uint32_t b = 0; b < blocks; b++) {
-        uint32_t begin = (uint32_t)__builtin_ctzll(map);
-        map &= map - 1;
-        uint32_t end = map != 0 ? (uint32_t)__builtin_ctzll(map) : granules;
-        uint32_t at = (uint32_t)(w.p - out), mode = write_block(s, &w, v + begin * SVO_GRANULE, end - begin, table_bits);
-        uint16_t header = (uint16_t)(at << 3 | mode);
-        memcpy(out + 8 + 2 * b, &header, sizeof header);
-        stats->blocks[mode]++;
-    }
-    return (uint32_t)(w.p - out);
-}
-
-typedef struct encoder {
-    uint64_t count, superblocks;
-    uint32_t table_bits;
-    svo_palette_source source;
-    void *user;
-    uint64_t *directory; /* offsets count from the batch's own bytes at first */
-    svo_buffer *bytes;   /* a batch */
-    svo_palette_stats *stats;
-} encoder;
-
-static svo_result encode_batches(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    encoder *e = user;
-    seen *s = svo_calloc(e->bytes[0].allocator, 1, sizeof *s);
-    if (s == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
-    svo_result r = SVO_OK;
-    uint32_t v[SVO_SUPERBLOCK];
-    uint8_t out[SUPERBLOCK_MAX];
-    for (uint64_t batch = begin; batch < end && r == SVO_OK; batch++) {
-        uint64_t last = (batch + 1) * BATCH < e->superblocks ? (batch + 1) * BATCH : e->superblocks;
-        for (uint64_t b = batch * BATCH; b < last; b++) {
-            uint64_t first = b * SVO_SUPERBLOCK, left = e->count - first;
-            uint32_t n = left < SVO_SUPERBLOCK ? (uint32_t)left : SVO_SUPERBLOCK, same = 1;
-            e->source(e->user, first, n, v);
-            while (same < n && v[same] == v[0]) same++;
-            if (same == n) {
-                e->directory[b] = SVO_PALETTE_CONSTANT | v[0];
-                e->stats[batch].constant_superblocks++;
-                continue;
-            }
-            uint32_t size = write_superblock(s, v, n, e->table_bits, out, &e->stats[batch]);
-            e->directory[b] = e->bytes[batch].size;
-            if (svo_buffer_append(&e->bytes[batch], out, size) == NULL) {
-                r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
-                break;
-            }
-        }
-    }
-    svo_free(e->bytes[0].allocator, s, 1, sizeof *s);
-    return r;
-}
-
-static void add_stats(svo_palette_stats *to, const svo_palette_stats *s)
-{
-    to->constant_superblocks += s->constant_superblocks;
-    for (int i = 0; i < 8; i++) to->blocks[i] += s->blocks[i];
-}
-
-svo_result svo_palette_encode(uint64_t count, uint64_t table_count, svo_palette_source source, void *user, uint32_t threads,
-                              svo_buffer *directory, svo_buffer *payload, svo_palette_stats *stats, svo_error *err)
-{
-    const svo_allocator *a = directory->allocator;
-    encoder e = {.count = count, .superblocks = (count + SVO_SUPERBLOCK - 1) / SVO_SUPERBLOCK,
-                 .table_bits = svo_palette_table_bits(table_count), .source = source, .user = user};
-    uint64_t batches = (e.superblocks + BATCH - 1) / BATCH, total = 0;
-    if (e.table_bits > 32) return svo_fail(err, SVO_LIMIT, "a channel has more than 2^32 different values");
-    e.bytes = svo_calloc(a, batches, sizeof *e.bytes);
-    e.stats = svo_calloc(a, batches, sizeof *e.stats);
-    e.directory = svo_buffer_append(directory, NULL, (size_t)e.superblocks * 8);
-    svo_result r = SVO_OK;
-    if (batches != 0 && (e.bytes == NULL || e.stats == NULL || e.directory == NULL))
-        r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
-    if (r == SVO_OK) {
-        for (uint64_t i = 0; i < batches; i++) svo_buffer_init(&e.bytes[i], a);
-        r = svo_parallel_for(threads, batches, 1, encode_batches, &e, err);
-    }
-    if (r == SVO_OK) {
-        for (uint64_t i = 0; i < batches; i++) total += e.bytes[i].size;
-        if (!svo_buffer_reserve(payload, (size_t)total + SVO_PALETTE_PADDING))
-            r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
-    }
-    for (uint64_t i = 0; i < batches && r == SVO_OK; i++) {
-        uint64_t last = (i + 1) * BATCH < e.superblocks ? (i + 1) * BATCH : e.superblocks;
-        for (uint64_t b = i * BATCH; b < last; b++)
-            if (!(e.directory[b] & SVO_PALETTE_CONSTANT)) e.directory[b] += payload->size;
-        svo_buffer_append(payload, e.bytes[i].data, e.bytes[i].size);
-        svo_buffer_free(&e.bytes[i]);
-        if (stats != NULL) add_stats(stats, &e.stats[i]);
-    }
-    if (r == SVO_OK) svo_buffer_append(payload, NULL, SVO_PALETTE_PADDING);
-    if (e.bytes != NULL)
-        for (uint64_t i = 0; i < batches; i++) svo_buffer_free(&e.bytes[i]);
-    svo_free(a, e.bytes, batches, sizeof *e.bytes);
-    svo_free(a, e.stats, batches, sizeof *e.stats);
-    return r;
+    if (mode == SVO_BLOCK_ONE_WIDE) return table_value(p, svo_palette_bits(data, 0, b));
+    if (mode == SVO_BLOCK_RAW) return table_value(p, svo_palette_bits(data, (uint64_t)j * b, b));
+    svo_lattice l;
+    read_lattice(p->kind, data, &l);
+    return svo_lattice_point(p->kind, &l, number_of(data, svo_lattice_header_bits(p->kind), j, length, l.bits, mode == SVO_BLOCK_BOX_RUNS));
 }
 
 /* --- checking ---------------------------------------------------------------------------------------------------- */
@@ -271,80 +222,143 @@ static svo_result bad(svo_error *err, uint64_t superblock, const char *why)
     return SVO_INVALID_DATA;
 }
 
-/* `s` has `size` bytes of its own, behind which 8 more can be read. */
-static svo_result check_superblock(uint64_t number, uint32_t n, uint64_t table_count, const uint8_t *s, uint64_t size,
-                                   svo_palette_stats *stats, svo_error *err)
+typedef struct check {
+    const svo_palette *p;
+    uint32_t b;           /* bits of a table index */
+    const uint8_t *data;  /* of a block, 8 readable bytes behind `size` */
+    uint64_t size, at;    /* bytes that the superblock has for it; bits read */
+    const char *why;      /* set when something is wrong */
+} check;
+
+static bool take(check *c, uint64_t bits, const char *why)
 {
-    uint32_t granules = (n + SVO_GRANULE - 1) / SVO_GRANULE, table_bits = svo_palette_table_bits(table_count);
-    uint64_t map;
-    if (size < sizeof map) return bad(err, number, "does not fit the payload");
-    memcpy(&map, s, sizeof map);
-    if (granules < GRANULES) {
-        if (map >> granules != 1) return bad(err, number, "the map of blocks does not end where the values do");
-        map ^= (uint64_t)1 << granules;
-    }
-    if (!(map & 1)) return bad(err, number, "the first block does not begin at 0");
-    uint32_t blocks = (uint32_t)__builtin_popcountll(map);
-    uint64_t at = 8 + 2 * (uint64_t)blocks; /* blocks follow each other without gaps */
-    if (at > size) return bad(err, number, "does not fit the payload");
-    for (uint32_t b = 0; b < blocks; b++) {
-        uint32_t begin = (uint32_t)__builtin_ctzll(map);
-        map &= map - 1;
-        uint32_t end = map != 0 ? (uint32_t)__builtin_ctzll(map) : granules, values = (end - begin) * SVO_GRANULE;
-        uint16_t header;
-        memcpy(&header, s + 8 + 2 * b, sizeof header);
-        uint32_t mode = header & 7, most = 0, entries = mode == 0 ? 1 : values;
-        if (header >> 3 != at) return bad(err, number, "a block does not begin where the last one ends");
-        stats->blocks[mode]++;
-        const uint8_t *data = s + at;
-        uint64_t base = 0;
-        if (mode != 0 && mode != MODE_RAW) {
-            base = (uint64_t)values * mode;
-            if (at + base / 8 > size) return bad(err, number, "a block does not fit the payload");
-            for (uint32_t i = 0; i < values; i++) {
-                uint32_t index = svo_palette_bits(data, (uint64_t)i * mode, mode);
-                if (index > most) most = index;
-            }
-            entries = most + 1;
-        }
-        uint64_t bytes = (base + (uint64_t)entries * table_bits + 7) / 8;
-        if (bytes > size - at) return bad(err, number, "a block does not fit the payload");
-        for (uint32_t i = 0; i < entries; i++)
-            if (svo_palette_bits(data, base + (uint64_t)i * table_bits, table_bits) >= table_count)
-                return bad(err, number, "an index is outside the table");
-        at += bytes;
-    }
-    return at == size ? SVO_OK : bad(err, number, "is larger than its blocks");
+    if (c->why == NULL && bits > 8 * c->size - c->at) c->why = why;
+    if (c->why == NULL) c->at += bits;
+    return c->why == NULL;
 }
 
-svo_result svo_palette_check(uint64_t count, uint64_t table_count, const uint64_t *directory, uint64_t superblocks,
-                             const uint8_t *payload, uint64_t payload_size, svo_palette_stats *stats, svo_error *err)
+/* `n` table indices. */
+static bool take_entries(check *c, uint64_t n)
 {
-    svo_palette_stats local = {0};
-    uint64_t at = 0, end = payload_size - SVO_PALETTE_PADDING, next = 0;
-    if (table_count == 0 || table_count > (uint64_t)1 << 32) return bad(err, 0, "the size of the table is out of range");
-    if (superblocks != count / SVO_SUPERBLOCK + (count % SVO_SUPERBLOCK != 0)) return bad(err, 0, "wrong number of superblocks");
-    if (payload_size < SVO_PALETTE_PADDING) return bad(err, 0, "the payload lacks its padding");
-    for (uint64_t b = 0; b < superblocks; b++) {
-        if (directory[b] & SVO_PALETTE_CONSTANT) {
-            uint64_t index = directory[b] ^ SVO_PALETTE_CONSTANT;
-            if (index >= table_count) return bad(err, b, "an index is outside the table");
-            local.constant_superblocks++;
+    uint64_t at = c->at;
+    if (!take(c, n * c->b, "a block does not fit the payload")) return false;
+    for (uint64_t i = 0; i < n; i++)
+        if (svo_palette_bits(c->data, at + i * c->b, c->b) >= c->p->table_count) c->why = "an index is outside the table";
+    return c->why == NULL;
+}
+
+/* The numbers of a block of `length` values, which must be below `limit` (0: their largest goes to *most). */
+static bool take_numbers(check *c, uint32_t length, uint32_t width, bool runs, uint64_t limit, uint64_t *most)
+{
+    uint64_t numbers = length, flags = c->at;
+    if (runs) {
+        if (!take(c, length, "a block does not fit the payload")) return false;
+        if (!(svo_palette_bits(c->data, flags, 1))) c->why = "the first value of a block does not begin a run";
+        numbers = rank_of(c->data, (uint32_t)flags, length - 1) + 1u;
+    }
+    uint64_t at = c->at, largest = 0;
+    if (!take(c, numbers * width, "a block does not fit the payload")) return false;
+    for (uint64_t i = 0; i < numbers; i++) {
+        uint64_t n = svo_palette_bits(c->data, at + i * width, width);
+        if (n > largest) largest = n;
+    }
+    if (limit != 0 && largest >= limit) c->why = "a number has no value";
+    *most = largest;
+    return c->why == NULL;
+}
+
+/* A block of `length` values; its bits are taken. */
+static bool check_block(check *c, uint32_t mode, uint32_t length)
+{
+    svo_channel_kind kind = c->p->kind;
+    uint64_t most;
+    if (mode == SVO_BLOCK_ONE_WIDE) return take_entries(c, 1);
+    if (mode == SVO_BLOCK_RAW) return take_entries(c, length);
+    if (mode < SVO_BLOCK_LINE) {
+        svo_lattice l;
+        if (c->size < (svo_lattice_header_bits(kind) + 7) / 8) c->why = "a block does not fit the payload";
+        if (c->why != NULL) return false;
+        uint8_t head[24] = {0}; /* a lattice's head may be longer than 8 bytes */
+        memcpy(head, c->data, c->size < 16 ? (size_t)c->size : 16);
+        read_lattice(kind, head, &l);
+        if (l.bits > 32) c->why = "a lattice has more than 2^32 points";
+        take(c, svo_lattice_header_bits(kind), "a block does not fit the payload");
+        return c->why == NULL && take_numbers(c, length, l.bits, mode == SVO_BLOCK_BOX_RUNS, l.n[0] * l.n[1] * l.n[2], &most);
+    }
+    if (mode < SVO_BLOCK_PALETTE) {
+        if (kind != SVO_KIND_COLOR_SRGB8 && kind != SVO_KIND_NORMAL_OCT32) {
+            c->why = "a line in a channel that has none";
+            return false;
+        }
+        bool runs = mode >= SVO_BLOCK_LINE_RUNS;
+        uint32_t width = mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
+        return take_entries(c, 2) && take_numbers(c, length, width, runs, 0, &most);
+    }
+    if (mode < SVO_BLOCK_PALETTE_RUNS) return take_numbers(c, length, mode - SVO_BLOCK_PALETTE + 1, false, 0, &most) && take_entries(c, most + 1);
+    if (!take(c, 8, "a block does not fit the payload")) return false;
+    uint64_t entries = c->data[0] + 1u;
+    return take_entries(c, entries) && take_numbers(c, length, mode - SVO_BLOCK_PALETTE_RUNS + 2, true, entries, &most);
+}
+
+/* `s` has `size` bytes up to the end of the payload, behind which 8 more can be read. *used: bytes of the superblock. */
+static svo_result check_superblock(const svo_palette *p, uint64_t number, uint64_t map, const uint8_t *s, uint64_t size,
+                                   uint64_t *used, svo_palette_stats *stats, svo_error *err)
+{
+    if (!(map & 1)) return bad(err, number, "the first block does not begin at 0");
+    uint32_t blocks = (uint32_t)__builtin_popcountll(map);
+    uint64_t at = 2 * (uint64_t)blocks; /* blocks follow each other without gaps */
+    if (at > size) return bad(err, number, "does not fit the payload");
+    for (uint32_t i = 0; i < blocks; i++) {
+        uint32_t begin = (uint32_t)__builtin_ctzll(map);
+        map &= map - 1;
+        uint32_t length = ((map != 0 ? (uint32_t)__builtin_ctzll(map) : 64) - begin) * SVO_GRANULE;
+        uint16_t header;
+        memcpy(&header, s + 2 * i, sizeof header);
+        uint32_t mode = header & 31, field = header >> 5;
+        if (mode >= SVO_BLOCK_MODES) return bad(err, number, "unknown mode of a block");
+        stats->blocks[mode]++;
+        stats->values[mode] += length;
+        if (mode < SVO_BLOCK_ONE_WIDE) {
+            if ((mode << 11 | field) >= p->table_count) return bad(err, number, "an index is outside the table");
             continue;
         }
-        if (directory[b] != at) return bad(err, b, "does not begin where the last one ends");
-        /* it reaches to the begin of the next one that is stored */
-        if (next <= b) next = b + 1;
-        while (next < superblocks && directory[next] & SVO_PALETTE_CONSTANT) next++;
-        uint64_t to = next < superblocks ? directory[next] : end;
-        if (to < at || to > end) return bad(err, b, "does not fit the payload");
-        uint64_t left = count - b * SVO_SUPERBLOCK;
-        SVO_TRY(check_superblock(b, left < SVO_SUPERBLOCK ? (uint32_t)left : SVO_SUPERBLOCK, table_count, payload + at, to - at, &local, err));
-        at = to;
+        if (field != at) return bad(err, number, "a block does not begin where the last one ends");
+        check c = {.p = p, .b = svo_palette_table_bits(p->table_count), .data = s + at, .size = size - at};
+        if (!check_block(&c, mode, length)) return bad(err, number, c.why);
+        if (c.at % 8 != 0 && svo_palette_bits(c.data, c.at, 8 - c.at % 8) != 0) return bad(err, number, "bits behind a block are not 0");
+        stats->bits[mode] += c.at;
+        at += (c.at + 7) / 8;
+    }
+    *used = at;
+    return SVO_OK;
+}
+
+svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err)
+{
+    svo_palette_stats local = {0};
+    uint64_t groups = (p->superblock_count + SVO_PALETTE_GROUP - 1) / SVO_PALETTE_GROUP, base = 0;
+    if (p->table_count > (uint64_t)1 << 32) return bad(err, 0, "the table is too large");
+    if (p->superblock_count != p->count / SVO_SUPERBLOCK + (p->count % SVO_SUPERBLOCK != 0)) return bad(err, 0, "wrong number of superblocks");
+    if (p->payload_size < SVO_PALETTE_PADDING || groups > (p->payload_size - SVO_PALETTE_PADDING) / 8)
+        return bad(err, 0, "the payload lacks its bases or its padding");
+    uint64_t at = 8 * groups, end = p->payload_size - SVO_PALETTE_PADDING;
+    for (uint64_t i = 0; i < p->superblock_count; i++) {
+        const uint8_t *entry = p->directory + i * SVO_PALETTE_ENTRY;
+        uint64_t map, used = 0;
+        uint32_t offset;
+        memcpy(&map, entry, sizeof map);
+        memcpy(&offset, entry + 8, sizeof offset);
+        if (i % SVO_PALETTE_GROUP == 0) {
+            memcpy(&base, p->payload + i / SVO_PALETTE_GROUP * 8, sizeof base);
+            if (base != at) return bad(err, i, "a base is not where its first superblock begins");
+        }
+        if (base + offset != at) return bad(err, i, "does not begin where the last one ends");
+        SVO_TRY(check_superblock(p, i, map, p->payload + at, end - at, &used, &local, err));
+        at += used;
     }
     if (at != end) return bad(err, 0, "the payload is larger than its superblocks");
     for (uint32_t i = 0; i < SVO_PALETTE_PADDING; i++)
-        if (payload[end + i] != 0) return bad(err, 0, "padding is not 0");
+        if (p->payload[end + i] != 0) return bad(err, 0, "padding is not 0");
     if (stats != NULL) *stats = local;
     return SVO_OK;
 }

@@ -1,16 +1,18 @@
-/* Palette blocks: a channel's values as short indices, read at random in constant time (Dado et al. 2016, section
- * 2.4.2, with another partition). docs/format/svdag.md, "Palette blocks", is normative.
+/* Blocks: a channel's values in few bits, read at random in constant time. docs/format/svdag.md, "Palette blocks", is
+ * normative; this is what became of Dado et al. 2016, section 2.4.2.
  *
- * Values are indices into a table. They are cut into superblocks of 1024, each of which is cut into blocks that begin
- * at multiples of 16. A 64-bit map marks the begins, so that the block of a value is found by counting bits, not by
- * searching. A block is constant, or has a palette of table indices and 1 to 6 bits a value, or is table indices as
- * they are. The encoder merges blocks of 16 bottom-up wherever that takes fewer bits, exactly counted. */
+ * Values are cut into superblocks of 1024, each of which is cut into blocks that begin at multiples of 16. A 64-bit map
+ * marks the begins, so that the block of a value is found by counting bits, not by searching. A block is one value, or a
+ * palette of table entries with 1 to 8 bits a value, or points on a line between two table entries, or points of a
+ * lattice (which needs no table, and so can hold anything), or table indices as they are; the numbers that choose among
+ * these are stored for each value, or for each change with one bit a value that says where changes are. */
 #ifndef SVO_PALETTE_H
 #define SVO_PALETTE_H
 
 #include <string.h>
 
 #include "svo_alloc.h"
+#include "svo_channel.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -18,8 +20,35 @@ extern "C" {
 
 #define SVO_SUPERBLOCK 1024u
 #define SVO_GRANULE 16u
-#define SVO_PALETTE_CONSTANT ((uint64_t)1 << 63) /* of a directory entry: low 32 bits are the index of all values */
-#define SVO_PALETTE_PADDING 8u                   /* zero bytes at the end of the payload, so that 8-byte loads stay inside */
+#define SVO_PALETTE_ENTRY 12u   /* bytes of a superblock's entry in the directory: u64 map, u32 offset */
+#define SVO_PALETTE_GROUP 65536u /* superblocks whose offsets count from one base */
+#define SVO_PALETTE_PADDING 8u  /* zero bytes at the end of the payload, so that 8-byte loads stay inside */
+
+/* Numbers in the files. */
+enum {
+    SVO_BLOCK_ONE = 0,       /* and 1: one table entry, its index in the header (12 bits) */
+    SVO_BLOCK_ONE_WIDE = 2,  /* one table entry */
+    SVO_BLOCK_RAW = 3,       /* a table index for each value */
+    SVO_BLOCK_BOX = 4,       /* lattice points */
+    SVO_BLOCK_BOX_RUNS = 5,
+    SVO_BLOCK_LINE = 6,      /* + bits - 2: points between two table entries, 2 to 4 bits */
+    SVO_BLOCK_LINE_RUNS = 9,
+    SVO_BLOCK_PALETTE = 12,  /* + bits - 1: 1 to 8 bits */
+    SVO_BLOCK_PALETTE_RUNS = 20, /* + bits - 2: 2 to 8 bits */
+    SVO_BLOCK_MODES = 27
+};
+
+/* Blocks as they lie in a file or in memory. Checked with svo_palette_check before anything is read from them. */
+typedef struct svo_palette {
+    svo_channel_kind kind;
+    uint64_t count;          /* values */
+    const uint8_t *table;    /* table_count values of the kind */
+    uint64_t table_count;    /* may be 0 */
+    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes for each superblock */
+    uint64_t superblock_count;
+    const uint8_t *payload;
+    uint64_t payload_size;
+} svo_palette;
 
 /* Bits of a table index: ceil(log2(table_count)). */
 static inline uint32_t svo_palette_table_bits(uint64_t table_count)
@@ -27,52 +56,68 @@ static inline uint32_t svo_palette_table_bits(uint64_t table_count)
     return table_count > 1 ? 64 - (uint32_t)__builtin_clzll(table_count - 1) : 0;
 }
 
-/* `width` (0..32) bits from bit `bit` of p on, lowest first. Reads 8 bytes. */
-static inline uint32_t svo_palette_bits(const uint8_t *p, uint64_t bit, uint32_t width)
+/* `width` (0..57) bits from bit `bit` of p on, lowest first. Reads 8 bytes. */
+static inline uint64_t svo_palette_bits(const uint8_t *p, uint64_t bit, uint32_t width)
 {
     uint64_t v;
     memcpy(&v, p + bit / 8, sizeof v);
-    return (uint32_t)(v >> bit % 8 & (((uint64_t)1 << width) - 1));
+    return v >> bit % 8 & (((uint64_t)1 << width) - 1);
 }
 
-/* Table index of value i. The arrays must have been checked (svo_palette_check). */
-static inline uint32_t svo_palette_index(const uint64_t *directory, const uint8_t *payload, uint32_t table_bits, uint64_t i)
-{
-    uint64_t entry = directory[i / SVO_SUPERBLOCK], map;
-    if (entry & SVO_PALETTE_CONSTANT) return (uint32_t)entry;
-    const uint8_t *s = payload + entry;
-    memcpy(&map, s, sizeof map);
-    uint32_t granule = (uint32_t)(i / SVO_GRANULE) & 63;
-    uint64_t upto = ~(uint64_t)0 >> (63 - granule), below = map & upto, above = map & ~upto;
-    uint32_t block = (uint32_t)__builtin_popcountll(below) - 1, begin = 63 - (uint32_t)__builtin_clzll(below);
-    uint16_t header;
-    memcpy(&header, s + 8 + 2 * block, sizeof header);
-    const uint8_t *data = s + (header >> 3);
-    uint32_t mode = header & 7;
-    if (mode == 0) return svo_palette_bits(data, 0, table_bits);
-    uint32_t at = (uint32_t)(i % SVO_SUPERBLOCK) - begin * SVO_GRANULE;
-    if (mode == 7) return svo_palette_bits(data, (uint64_t)at * table_bits, table_bits);
-    uint32_t end = above != 0 ? (uint32_t)__builtin_ctzll(above) : 64;
-    uint64_t palette = (uint64_t)(end - begin) * SVO_GRANULE * mode;
-    return svo_palette_bits(data, palette + (uint64_t)svo_palette_bits(data, (uint64_t)at * mode, mode) * table_bits, table_bits);
-}
+/* Value i (its little-endian bytes as a number). i < count is the caller's duty. */
+uint32_t svo_palette_value(const svo_palette *p, uint64_t i);
 
-/* Give `n` table indices beginning at value `first` (a multiple of 1024; n is 1024 but at the end). */
-typedef void (*svo_palette_source)(void *user, uint64_t first, uint32_t n, uint32_t *indices);
+/* A lattice: `n` steps of `step` from `low` in each component. Colours: Y, Co, Cg of YCoCg-R; normals: the two
+ * octahedral coordinates; one component otherwise. */
+typedef struct svo_lattice {
+    int32_t low[3];
+    uint64_t n[3];
+    uint32_t step[3];
+    uint32_t bits; /* of a point's number: ceil(log2(n0 n1 n2)) */
+} svo_lattice;
+uint32_t svo_lattice_components(svo_channel_kind kind);
+/* Components of a value. */
+void svo_lattice_split(svo_channel_kind kind, uint32_t value, int32_t c[3]);
+uint32_t svo_lattice_point(svo_channel_kind kind, const svo_lattice *l, uint32_t number);
+uint32_t svo_lattice_header_bits(svo_channel_kind kind);
+
+/* Point `number` of 0 .. most on the line from a to b: each component rounded to nearest. */
+uint32_t svo_line_point(svo_channel_kind kind, uint32_t a, uint32_t b, uint32_t number, uint32_t most);
+
+/* Give `n` values beginning at value `first` (a multiple of 1024; n is 1024 but at the end). */
+typedef void (*svo_palette_source)(void *user, uint64_t first, uint32_t n, uint32_t *values);
+
+/* What the blocks are to be like. Without a bound every value comes back as it is. */
+typedef struct svo_palette_goal {
+    double bound; /* > 0: largest CIE94 difference (colours; the value is the reference) or angle in degrees (normals) */
+    double price; /* bits that one value's error is worth: per unit of CIE94 or degree, or (squares) per squared sRGB byte */
+    bool squares; /* colours: the error is the squared difference of sRGB bytes, not CIE94 */
+} svo_palette_goal;
 
 typedef struct svo_palette_stats {
-    uint64_t constant_superblocks;
-    uint64_t blocks[8]; /* by mode */
+    uint64_t blocks[SVO_BLOCK_MODES], values[SVO_BLOCK_MODES], bits[SVO_BLOCK_MODES]; /* by mode; bits without headers */
+    double error_sum, error_max, square_sum; /* over all values: CIE94 or degrees; squared differences of bytes (colours) */
 } svo_palette_stats;
 
-/* Encode `count` values; directory and payload are appended to (payload with its padding). The source is called from
- * several threads for different ranges. The bytes do not depend on the number of threads. stats may be NULL. */
-svo_result svo_palette_encode(uint64_t count, uint64_t table_count, svo_palette_source source, void *user, uint32_t threads,
-                              svo_buffer *directory, svo_buffer *payload, svo_palette_stats *stats, svo_error *err);
+typedef struct svo_palette_job {
+    svo_channel_kind kind;
+    uint64_t count;
+    svo_palette_source source; /* called from several threads for different ranges */
+    void *user;
+    const uint32_t *table; /* distinct values; without a bound it must hold every value */
+    uint64_t table_count;
+    svo_palette_goal goal;
+    uint32_t threads;
+    const svo_allocator *allocator;
+} svo_palette_job;
 
-/* Prove that svo_palette_index is safe and < table_count for all values < count. Linear time. */
-svo_result svo_palette_check(uint64_t count, uint64_t table_count, const uint64_t *directory, uint64_t superblocks,
-                             const uint8_t *payload, uint64_t payload_size, svo_palette_stats *stats, svo_error *err);
+/* Encode; directory and payload are appended to (payload with its padding; it must be empty). The bytes do not depend on
+ * the number of threads. stats may be NULL. */
+svo_result svo_palette_encode(const svo_palette_job *job, svo_buffer *directory, svo_buffer *payload, svo_palette_stats *stats,
+                              svo_error *err);
+
+/* Prove that svo_palette_value is safe for all values < count. Linear time. Fills the counts of `stats` (may be NULL). */
+svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -7,6 +7,13 @@
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "files are mapped and used in place: little-endian hosts only");
 
+svo_palette svo_view_palette(const svo_view *v, uint32_t channel)
+{
+    const svo_view_channel *c = &v->channels[channel];
+    return (svo_palette){.kind = c->channel.kind, .count = v->attribute_count, .table = c->table, .table_count = c->table_count,
+                         .directory = c->directory, .superblock_count = c->superblock_count, .payload = c->payload, .payload_size = c->payload_size};
+}
+
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out)
 {
     const svo_view_channel *c = &v->channels[channel];
@@ -16,8 +23,9 @@ void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uin
     case SVO_ENCODING_CONSTANT: memcpy(out, c->channel.value, stride); break;
     case SVO_ENCODING_RAW: memcpy(out, c->raw + index * stride, stride); break;
     case SVO_ENCODING_BLOCKS: {
-        uint32_t i = svo_palette_index(c->directory, c->payload, svo_palette_table_bits(c->table_count), index);
-        memcpy(out, c->table + (size_t)i * stride, stride);
+        svo_palette p = svo_view_palette(v, channel);
+        uint32_t value = svo_palette_value(&p, index);
+        memcpy(out, &value, stride);
         break;
     }
     }

@@ -27,6 +27,7 @@
 #define SVO_VIEW_H
 
 #include "svo_channel.h"
+#include "svo_palette.h"
 #include "svo_stream.h"
 
 #ifdef __cplusplus
@@ -45,7 +46,7 @@ typedef struct svo_view_level {
 typedef enum svo_encoding {
     SVO_ENCODING_CONSTANT = 0, /* svo_channel.value */
     SVO_ENCODING_RAW = 1,      /* attribute_count * stride bytes */
-    SVO_ENCODING_BLOCKS = 2    /* palette blocks over a value table, see svo_palette.h */
+    SVO_ENCODING_BLOCKS = 2    /* blocks over a value table, see svo_palette.h */
 } svo_encoding;
 
 typedef struct svo_view_channel {
@@ -55,7 +56,7 @@ typedef struct svo_view_channel {
     /* BLOCKS */
     const uint8_t *table; /* table_count values of the channel's kind */
     uint64_t table_count;
-    const uint64_t *directory; /* per superblock, see svo_palette.h */
+    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes a superblock, see svo_palette.h */
     uint64_t superblock_count;
     const uint8_t *payload;
     uint64_t payload_size;
@@ -192,6 +193,9 @@ svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool 
 
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);
+
+/* The blocks of a channel with SVO_ENCODING_BLOCKS. */
+svo_palette svo_view_palette(const svo_view *v, uint32_t channel);
 
 /* Index of the channel with this name, SVO_MAX_CHANNELS if there is none. */
 uint32_t svo_view_find_channel(const svo_view *v, const char *name);

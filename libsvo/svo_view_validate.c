@@ -193,33 +193,20 @@ static svo_result check_normals(validate *c, uint32_t channel, const uint8_t *va
     return SVO_OK;
 }
 
-/* Values as little-endian numbers, each larger than the one before. */
-static svo_result check_table(validate *c, uint32_t channel, const uint8_t *table, uint64_t count, uint32_t stride)
-{
-    uint64_t last = 0;
-    for (uint64_t i = 0; i < count; i++) {
-        uint64_t value = 0;
-        for (uint32_t k = 0; k < stride; k++) value |= (uint64_t)table[i * stride + k] << 8 * k;
-        if (i != 0 && value <= last) return bad(c, "DAG-11", channel, i, "the values of a table do not ascend");
-        last = value;
-    }
-    return SVO_OK;
-}
-
 static svo_result check_channel(validate *c, uint32_t i)
 {
     const svo_view *v = c->v;
     const svo_view_channel *ch = &v->channels[i];
     uint32_t stride = svo_channel_stride(ch->channel.kind);
     bool normals = ch->channel.kind == SVO_KIND_NORMAL_OCT32;
+    svo_palette p;
     if (stride == 0) return bad(c, "DAG-02", i, 0, "unknown kind of channel");
     switch (ch->encoding) {
     case SVO_ENCODING_CONSTANT: return normals ? check_normals(c, i, ch->channel.value, 1) : SVO_OK;
     case SVO_ENCODING_RAW: return normals ? check_normals(c, i, ch->raw, v->attribute_count) : SVO_OK;
     case SVO_ENCODING_BLOCKS:
-        SVO_TRY(svo_palette_check(v->attribute_count, ch->table_count, ch->directory, ch->superblock_count, ch->payload,
-                                  ch->payload_size, NULL, c->err));
-        SVO_TRY(check_table(c, i, ch->table, ch->table_count, stride));
+        p = svo_view_palette(v, i);
+        SVO_TRY(svo_palette_check(&p, NULL, c->err));
         return normals ? check_normals(c, i, ch->table, ch->table_count) : SVO_OK;
     }
     return bad(c, "DAG-02", i, 0, "unknown encoding of a channel");

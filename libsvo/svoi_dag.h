@@ -130,6 +130,8 @@ bool svoi_distinct_sort(svoi_distinct *d);
 /* Index of a value that is in it. */
 uint32_t svoi_distinct_index(const svoi_distinct *d, uint32_t value);
 void svoi_distinct_free(svoi_distinct *d);
+/* All of a stream, sorted; SVO_OUT_OF_MEMORY without a message. */
+svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, svoi_distinct *out);
 
 /* --- the result -------------------------------------------------------------------------------------------------- */
 

@@ -86,7 +86,7 @@ static json_t *sections(const svo_view *v)
         if (c->encoding == SVO_ENCODING_RAW) add_section(all, "ARAW", -1, c->channel.name, v->attribute_count * stride);
         if (c->encoding != SVO_ENCODING_BLOCKS) continue;
         add_section(all, "ATBL", -1, c->channel.name, c->table_count * stride);
-        add_section(all, "ADIR", -1, c->channel.name, 8 * c->superblock_count);
+        add_section(all, "ADIR", -1, c->channel.name, SVO_PALETTE_ENTRY * c->superblock_count);
         add_section(all, "APAY", -1, c->channel.name, c->payload_size);
     }
     return all;

@@ -57,9 +57,8 @@ class Svdag:
             elif c.encoding == 2:
                 c.table = self._take(b"ATBL", number)
                 need(len(c.table) == c.table_count * c.stride, "DAG-08")
-                directory = self._take(b"ADIR", number)
-                c.directory = struct.unpack("<%dQ" % (len(directory) // 8), directory)
-                need(len(c.directory) == (self.A + 1023) // 1024, "DAG-08")
+                c.directory = self._take(b"ADIR", number)
+                need(len(c.directory) == 12 * ((self.A + 1023) // 1024), "DAG-08")
                 c.payload = self._take(b"APAY", number)
                 c.bits = (c.table_count - 1).bit_length()
         need(all(c[0] == b"META" for c in self.chunks), "DAG-01")
@@ -175,28 +174,65 @@ class Svdag:
 
     # --- attributes ---
 
-    def table_index(self, c, i):
-        entry = c.directory[i // 1024]
-        if entry >> 63:
-            return entry & 0xffffffff
-        s = c.payload[entry:]
-        if not hasattr(c, "cache") or c.cache[0] != entry:
-            c.cache = (entry, s[:8 + 128 + 5000])
-        s = c.cache[1]
-        blocks, = struct.unpack("<Q", s[:8])
+    def _superblock(self, c, s):
+        """(map, bytes from its begin on) of superblock s."""
+        if getattr(c, "cached", None) != s:
+            blocks, offset = struct.unpack_from("<QI", c.directory, 12 * s)
+            base, = struct.unpack_from("<Q", c.payload, 8 * (s // 65536))
+            c.cached, c.cache = s, (blocks, c.payload[base + offset:base + offset + 128 + 2048 + 5000])
+        return c.cache
+
+    def block_value(self, c, i):
+        blocks, data = self._superblock(c, i // 1024)
         g = i // 16 % 64
+        need(blocks & 1, "DAG-09")
         begin = (blocks & (2 << g) - 1).bit_length() - 1
-        header, = struct.unpack_from("<H", s, 8 + 2 * ones(blocks & (1 << begin) - 1))
-        mode, data = header & 7, s[header >> 3:]
-        j = i % 1024 - 16 * begin
-        if mode == 0:
-            return bits(data, 0, c.bits)
-        if mode == 7:
-            return bits(data, j * c.bits, c.bits)
+        header, = struct.unpack_from("<H", data, 2 * ones(blocks & (1 << begin) - 1))
+        mode, field, j = header & 31, header >> 5, i % 1024 - 16 * begin
         after = blocks >> g + 1
-        end = g + 1 + (after & -after).bit_length() - 1 if after else 64
-        p = bits(data, j * mode, mode)
-        return bits(data, 16 * (end - begin) * mode + p * c.bits, c.bits)
+        length = 16 * ((g + 1 + (after & -after).bit_length() - 1 if after else 64) - begin)
+        if mode < 2:
+            return self._entry(c, 2048 * mode + field)
+        need(mode < 27, "DAG-09")
+        data = data[field:]
+        index = lambda at: bits(data, at, c.bits)
+
+        def number(at, w, runs):
+            if not runs:
+                return bits(data, at + j * w, w)
+            need(bits(data, at, 1), "DAG-09")
+            return bits(data, at + length + (ones(bits(data, at, j + 1)) - 1) * w, w)
+
+        if mode == 2:
+            return self._entry(c, index(0))
+        if mode == 3:
+            return self._entry(c, index(j * c.bits))
+        if mode < 6:
+            low, n, step, at = lattice(c.kind, data)
+            w = (n[0] * n[1] * n[2] - 1).bit_length()
+            x = number(at, w, mode == 5)
+            need(w <= 32 and x < n[0] * n[1] * n[2], "DAG-09")
+            q = (x % n[0], x // n[0] % n[1], x // (n[0] * n[1]))
+            return lattice_value(c.kind, [low[k] + q[k] * step[k] for k in range(3)])
+        if mode < 12:
+            w = mode - (4 if mode < 9 else 7)
+            p, q, m = self._entry(c, index(0)), self._entry(c, index(c.bits)), (1 << w) - 1
+            n = number(2 * c.bits, w, mode >= 9)
+            need(c.kind <= 2, "DAG-09")
+            if c.kind == 2:
+                p, q = [[x + 32768 for x in struct.unpack("<hh", v)] for v in (p, q)]
+            out = [(a * (m - n) + b * n + m // 2) // m for a, b in zip(p, q)]
+            return struct.pack("<hh", *(x - 32768 for x in out)) if c.kind == 2 else bytes(out)
+        if mode < 20:
+            w = mode - 11
+            return self._entry(c, index(length * w + number(0, w, False) * c.bits))
+        entries, n = data[0] + 1, number(8 + (data[0] + 1) * c.bits, mode - 18, True)
+        need(n < entries, "DAG-09")
+        return self._entry(c, index(8 + n * c.bits))
+
+    def _entry(self, c, t):
+        need(t < c.table_count, "DAG-09")
+        return c.table[t * c.stride:(t + 1) * c.stride]
 
     def value(self, number, i):
         c = self.channels[number]
@@ -205,9 +241,36 @@ class Svdag:
             return c.constant[:c.stride]
         if c.encoding == 1:
             return c.raw[i * c.stride:(i + 1) * c.stride]
-        t = self.table_index(c, i)
-        need(t < c.table_count, "DAG-09")
-        return c.table[t * c.stride:(t + 1) * c.stride]
+        return self.block_value(c, i)
+
+
+# bits of low, n - 1 and step, and what is taken from low, for each component of each kind
+LATTICE = {1: [(8, 8, 5, 0), (9, 9, 5, 256), (9, 9, 5, 256)], 2: [(16, 16, 7, 32768)] * 2, 3: [(8, 8, 5, 0)], 4: [(16, 16, 0, 0)], 5: [(32, 32, 0, 0)]}
+
+
+def lattice(kind, data):
+    """low, n, step of three components, and the bit behind them."""
+    low, n, step, at = [0] * 3, [1] * 3, [1] * 3, 0
+    for k, (a, b, c, minus) in enumerate(LATTICE[kind]):
+        low[k] = bits(data, at, a) - minus
+        n[k] = bits(data, at + a, b) + 1
+        code = bits(data, at + a + b, c)
+        step[k] = (8 + code % 8) * 2 ** (code // 8) // 8 if kind == 2 else code + 1
+        at += a + b + c
+    return low, n, step, at
+
+
+def lattice_value(kind, c):
+    clamp = lambda x, low, high: max(low, min(high, x))
+    if kind == 1:
+        t = c[0] - (c[2] >> 1)
+        b = t - (c[1] >> 1)
+        return bytes(clamp(x, 0, 255) for x in (b + c[1], c[2] + t, b))
+    if kind == 2:
+        return struct.pack("<hh", clamp(c[0], -32767, 32767), clamp(c[1], -32767, 32767))
+    if kind == 3:
+        return bytes([clamp(c[0], 0, 255)])
+    return (c[0] & (1 << 8 * STRIDE[kind]) - 1).to_bytes(STRIDE[kind], "little")
 
 
 def decode_normal(v):

@@ -136,8 +136,9 @@ TEST(each_rule)
         {C4("NODE"), 16 + 4, 1, "DAG-05"},             /* first reference */
         {C4("NODE"), 16 + 4 + 4 * (uint64_t)k, 1, "DAG-06"}, /* first offset */
         {C4("ADIR"), 0, 1, "DAG-09"},
-        {C4("APAY"), 0, 1, "DAG-09"}, /* first bit of the first map */
-        {C4("ATBL"), 2, 0x80, "DAG-11"},
+        {C4("ADIR"), 8, 1, "DAG-09"}, /* offset of the first superblock */
+        {C4("APAY"), 0, 1, "DAG-09"}, /* first base */
+        {C4("APAY"), 8, 31, "DAG-09"}, /* mode of the first block */
     };
     for (size_t i = 0; i < sizeof edits / sizeof edits[0]; i++) {
         hostile_file h;

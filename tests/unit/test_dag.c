@@ -292,7 +292,7 @@ static void check_same(const svo_view *a, const svo_view *b)
         if (x->encoding == SVO_ENCODING_RAW) CHECK(same_bytes(x->raw, y->raw, a->attribute_count * stride));
         if (x->encoding != SVO_ENCODING_BLOCKS) continue;
         CHECK(same_bytes(x->table, y->table, x->table_count * stride));
-        CHECK(same_bytes(x->directory, y->directory, 8 * x->superblock_count));
+        CHECK(same_bytes(x->directory, y->directory, SVO_PALETTE_ENTRY * x->superblock_count));
         CHECK(same_bytes(x->payload, y->payload, x->payload_size));
     }
 }

@@ -1,44 +1,80 @@
-/* Palette blocks: every value comes back by random access, for all sizes around the limits of blocks and superblocks;
- * the bytes do not depend on threads; damaged blocks are refused; the partition is no worse than simple ones. */
+/* Blocks: every value comes back by random access, exactly or within the bound, for all sizes around the limits of blocks
+ * and superblocks, of every kind; the bytes do not depend on threads; damaged blocks are refused. */
+#include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "svo_color.h"
 #include "svo_palette.h"
 #include "test.h"
 
-typedef struct stream { uint32_t *v; uint64_t count; } stream;
+typedef struct stream { uint32_t *v; uint64_t count; svo_channel_kind kind; } stream;
 
-static void give(void *user, uint64_t first, uint32_t n, uint32_t *indices)
-{
-    memcpy(indices, ((const stream *)user)->v + first, n * sizeof *indices);
-}
+static void give(void *user, uint64_t first, uint32_t n, uint32_t *values) { memcpy(values, ((const stream *)user)->v + first, n * sizeof *values); }
 
-typedef struct encoded { svo_buffer directory, payload; svo_palette_stats stats; } encoded;
+typedef struct encoded {
+    svo_buffer directory, payload;
+    uint8_t *table;
+    svo_palette p;
+    svo_palette_stats stats;
+} encoded;
 
-static void encode(const stream *s, uint64_t table, uint32_t threads, encoded *e)
+static void encode(const stream *s, const uint32_t *table, uint64_t table_count, svo_palette_goal goal, uint32_t threads, encoded *e)
 {
     svo_error err = {0};
+    uint32_t stride = svo_channel_stride(s->kind);
     svo_buffer_init(&e->directory, NULL);
     svo_buffer_init(&e->payload, NULL);
-    e->stats = (svo_palette_stats){0};
-    CHECK_OK(svo_palette_encode(s->count, table, give, (void *)(uintptr_t)s, threads, &e->directory, &e->payload, &e->stats, &err));
+    svo_palette_job job = {.kind = s->kind, .count = s->count, .source = give, .user = (void *)(uintptr_t)s, .table = table,
+                           .table_count = table_count, .goal = goal, .threads = threads};
+    CHECK_OK(svo_palette_encode(&job, &e->directory, &e->payload, &e->stats, &err));
+    e->table = malloc(table_count * stride + 1);
+    for (uint64_t i = 0; i < table_count; i++)
+        for (uint32_t k = 0; k < stride; k++) e->table[i * stride + k] = (uint8_t)(table[i] >> 8 * k);
+    e->p = (svo_palette){s->kind, s->count, e->table, table_count, e->directory.data, e->directory.size / SVO_PALETTE_ENTRY, e->payload.data, e->payload.size};
 }
 
 static void encoded_free(encoded *e)
 {
     svo_buffer_free(&e->directory);
     svo_buffer_free(&e->payload);
+    free(e->table);
+}
+
+static double degrees_between(uint32_t a, uint32_t b)
+{
+    uint8_t x[4], y[4];
+    float n[3], m[3];
+    memcpy(x, &a, 4);
+    memcpy(y, &b, 4);
+    svo_oct32_decode(x, n);
+    svo_oct32_decode(y, m);
+    double chord = 0;
+    for (int i = 0; i < 3; i++) chord += ((double)n[i] - m[i]) * ((double)n[i] - m[i]);
+    return 2 * asin(fmin(1, sqrt(chord) / 2)) * 57.29577951308232;
+}
+
+static double error_of(svo_channel_kind kind, uint32_t value, uint32_t other)
+{
+    if (value == other) return 0;
+    if (kind == SVO_KIND_NORMAL_OCT32) return degrees_between(value, other);
+    uint8_t a[3] = {(uint8_t)value, (uint8_t)(value >> 8), (uint8_t)(value >> 16)}, b[3] = {(uint8_t)other, (uint8_t)(other >> 8), (uint8_t)(other >> 16)};
+    float x[3], y[3];
+    svo_srgb8_to_lab(a, x);
+    svo_srgb8_to_lab(b, y);
+    return svo_delta_e94(x, y);
 }
 
 /* Encodes with 1, 2 and 7 threads, checks, reads every value. Returns bytes of directory and payload. */
-static uint64_t check_stream(const stream *s, uint64_t table)
+static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t table_count, svo_palette_goal goal)
 {
     encoded e, f;
     svo_error err = {0};
-    encode(s, table, 1, &e);
+    encode(s, table, table_count, goal, 1, &e);
     if (test_failed()) return 0;
     for (uint32_t threads = 2; threads <= 7; threads += 5) {
-        encode(s, table, threads, &f);
+        encode(s, table, table_count, goal, threads, &f);
         if (test_failed()) return 0;
         bool same = e.directory.size == f.directory.size && e.payload.size == f.payload.size &&
                     (e.directory.size == 0 || memcmp(e.directory.data, f.directory.data, e.directory.size) == 0) &&
@@ -46,111 +82,228 @@ static uint64_t check_stream(const stream *s, uint64_t table)
         if (!same) test_fail(__FILE__, __LINE__, "%u threads give other bytes", threads);
         encoded_free(&f);
     }
-    const uint64_t *directory = (const uint64_t *)(const void *)e.directory.data;
     svo_palette_stats stats;
-    svo_result r = svo_palette_check(s->count, table, directory, e.directory.size / 8, e.payload.data, e.payload.size, &stats, &err);
-    if (r != SVO_OK || memcmp(&stats, &e.stats, sizeof stats) != 0) test_fail(__FILE__, __LINE__, "%s", err.message);
-    uint32_t bits = svo_palette_table_bits(table);
-    for (uint64_t i = 0; i < s->count; i++)
-        if (svo_palette_index(directory, e.payload.data, bits, i) != s->v[i]) {
-            test_fail(__FILE__, __LINE__, "value %llu of %llu, table %llu: %u != %u", (unsigned long long)i, (unsigned long long)s->count,
-                      (unsigned long long)table, svo_palette_index(directory, e.payload.data, bits, i), s->v[i]);
-            break;
-        }
+    svo_result r = svo_palette_check(&e.p, &stats, &err);
+    if (r != SVO_OK || memcmp(stats.blocks, e.stats.blocks, sizeof stats.blocks) != 0) test_fail(__FILE__, __LINE__, "%s", err.message);
+    double sum = 0, most = 0;
+    for (uint64_t i = 0; i < s->count && !test_failed(); i++) {
+        uint32_t got = svo_palette_value(&e.p, i);
+        double error = goal.bound > 0 ? error_of(s->kind, s->v[i], got) : got != s->v[i];
+        sum += error;
+        most = fmax(most, error);
+        if (error > goal.bound)
+            test_fail(__FILE__, __LINE__, "value %llu of %llu, table %llu, kind %d: %x for %x, error %g", (unsigned long long)i,
+                      (unsigned long long)s->count, (unsigned long long)table_count, (int)s->kind, got, s->v[i], error);
+    }
+    if (fabs(most - e.stats.error_max) > 1e-4 || fabs(sum - e.stats.error_sum) > 1e-4 * (double)(s->count + 1))
+        test_fail(__FILE__, __LINE__, "errors are said to be %g, %g but are %g, %g", e.stats.error_sum, e.stats.error_max, sum, most);
     uint64_t bytes = e.directory.size + e.payload.size;
     encoded_free(&e);
     return bytes;
 }
 
-enum { STYLES = 7 };
-
-static void fill(stream *s, uint64_t table, int style, uint64_t *seed)
+static uint32_t valid(svo_channel_kind kind, uint32_t v)
 {
-    uint32_t run = 0;
+    static const uint32_t mask[] = {0, 0xffffff, 0xffffffff, 0xff, 0xffff, 0xffffffff};
+    if (kind == SVO_KIND_NORMAL_OCT32) { /* no -32768 */
+        if ((v & 0xffff) == 0x8000) v ^= 1;
+        if (v >> 16 == 0x8000) v ^= 0x10000;
+    }
+    return v & mask[kind];
+}
+
+enum { STYLES = 8 };
+
+/* `table` different values spread over what the kind has; which of them follow each other is the style. */
+static void fill(stream *s, const uint32_t *table, uint64_t n, int style, uint64_t *seed)
+{
+    uint64_t run = 0;
     for (uint64_t i = 0; i < s->count; i++) {
+        uint64_t k = 0;
         switch (style) {
-        case 0: s->v[i] = (uint32_t)(table - 1); break;                       /* one value */
-        case 1: s->v[i] = (uint32_t)(i % 2 % table); break;                   /* two, alternating */
-        case 2: s->v[i] = (uint32_t)(i % table); break;                       /* all different, as far as they go */
-        case 3: s->v[i] = (uint32_t)(test_random(seed) % table); break;       /* noise */
-        case 4:                                                               /* runs */
-            if (test_random(seed) % 20 == 0) run = (uint32_t)(test_random(seed) % table);
-            s->v[i] = run;
+        case 0: k = n - 1; break;                                                /* one value */
+        case 1: k = i % 2 % n; break;                                            /* two, alternating */
+        case 2: k = i % n; break;                                                /* all different, as far as they go */
+        case 3: k = test_random(seed) % n; break;                                /* noise */
+        case 4:                                                                  /* runs */
+            if (test_random(seed) % 20 == 0) run = test_random(seed) % n;
+            k = run;
             break;
-        case 5: s->v[i] = (uint32_t)((i / 50 + test_random(seed) % 3) % table); break; /* drifting */
-        default: s->v[i] = (uint32_t)((i % 1024 < 500 ? 0 : test_random(seed)) % table); break; /* half quiet */
+        case 5: k = (i / 50 + test_random(seed) % 3) % n; break;                 /* drifting */
+        case 6: k = (i % 1024 < 500 ? 0 : test_random(seed)) % n; break;         /* half quiet */
+        default: k = (i / 90 * 7 + (test_random(seed) % 30 == 0 ? test_random(seed) % 5 : 0)) % n; break; /* runs with specks */
         }
+        s->v[i] = table[k];
     }
 }
 
-TEST(all_sizes_and_tables)
+static int compare_u32(const void *a, const void *b)
 {
-    static const uint64_t counts[] = {0, 1, 2, 15, 16, 17, 31, 32, 33, 1008, 1009, 1023, 1024, 1025, 1040, 2047, 2048, 2049, 5000, 70000};
-    static const uint64_t tables[] = {1, 2, 3, 16, 17, 64, 65, 100, 1024, 4096, 1000003, 0xffffffff, 0x100000000};
-    uint64_t seed = 1;
-    for (size_t c = 0; c < sizeof counts / sizeof counts[0]; c++)
-        for (size_t t = 0; t < sizeof tables / sizeof tables[0]; t++)
-            for (int style = 0; style < STYLES; style++) {
-                stream s = {malloc(counts[c] * 4 + 4), counts[c]};
-                fill(&s, tables[t], style, &seed);
-                uint64_t bytes = check_stream(&s, tables[t]);
-                /* never more than raw indices, a map, a header and the rounding of each superblock, and the padding */
-                uint64_t superblocks = (counts[c] + 1023) / 1024, raw = 0;
-                for (uint64_t b = 0; b < superblocks; b++) {
-                    uint64_t n = counts[c] - b * 1024 < 1024 ? (counts[c] - b * 1024 + 15) / 16 * 16 : 1024;
-                    raw += 8 + 8 + 2 + (n * svo_palette_table_bits(tables[t]) + 7) / 8;
-                }
-                free(s.v);
-                if (test_failed()) return;
-                CHECK_MSG(bytes <= raw + 8, "%llu values, table %llu, style %d: %llu bytes, raw %llu", (unsigned long long)counts[c],
-                          (unsigned long long)tables[t], style, (unsigned long long)bytes, (unsigned long long)raw);
-                if (style == 0) CHECK_U64(bytes, 8 * superblocks + 8);
-            }
+    uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
+    return (x > y) - (x < y);
 }
 
-/* Sizes that follow from the format by hand: 1024 values alternating between two, table of 4096 (12 bits):
- * directory 8, map 8, header 2, data (1024 + 24) / 8 = 131, padding 8. */
+static uint64_t make_table(svo_channel_kind kind, uint64_t n, bool near, uint64_t *seed, uint32_t *table)
+{
+    for (uint64_t i = 0; i < n; i++) {
+        uint32_t v = near ? (uint32_t)(i % 7 | i / 7 % 5 << 8 | i / 35 << 16) + 0x302010 : (uint32_t)test_random(seed);
+        table[i] = valid(kind, v);
+    }
+    qsort(table, n, sizeof *table, compare_u32);
+    uint64_t kept = 0;
+    for (uint64_t i = 0; i < n; i++)
+        if (i == 0 || table[i] != table[kept - 1]) table[kept++] = table[i];
+    return kept;
+}
+
+static const uint64_t counts[] = {0, 1, 2, 15, 16, 17, 31, 32, 33, 1008, 1009, 1023, 1024, 1025, 1040, 2047, 2048, 2049, 5000, 66000};
+static const svo_channel_kind kinds[] = {SVO_KIND_COLOR_SRGB8, SVO_KIND_NORMAL_OCT32, SVO_KIND_UNORM8, SVO_KIND_ID16, SVO_KIND_ID32};
+
+/* All kinds, counts, table sizes and styles; tables that hold all values or only a part of them. */
+TEST(exact_at_all_sizes)
+{
+    static const uint64_t tables[] = {1, 2, 3, 16, 17, 64, 65, 100, 257, 1024, 4097, 40000};
+    uint64_t seed = 1;
+    uint32_t *table = malloc(4 * 40000);
+    for (size_t c = 0; c < sizeof counts / sizeof *counts; c++)
+        for (size_t t = 0; t < sizeof tables / sizeof *tables; t++)
+            for (int style = 0; style < STYLES; style++) {
+                if (counts[c] > 60000 && (t + (size_t)style) % 5 != 0) continue;
+                svo_channel_kind kind = kinds[(t + c + (size_t)style) % 5];
+                stream s = {malloc(counts[c] * 4 + 4), counts[c], kind};
+                uint64_t n = make_table(kind, tables[t], (c + t) % 2 == 0, &seed, table);
+                fill(&s, table, n, style, &seed);
+                uint64_t bytes = check_stream(&s, table, n, (svo_palette_goal){0}), superblocks = (counts[c] + 1023) / 1024;
+                if (style == 0 && n <= 4096) CHECK_U64(bytes, 14 * superblocks + (superblocks != 0 ? 8 : 0) + 8);
+                check_stream(&s, table, (n + 1) / 2, (svo_palette_goal){0}); /* the rest is not in the table */
+                /* never more than raw values, a lattice, a map and headers */
+                CHECK(bytes <= superblocks * (12 + 2 + 13 + 1024 * svo_channel_stride(kind)) + 16);
+                free(s.v);
+                if (test_failed()) break;
+            }
+    free(table);
+}
+
+/* Smooth and noisy colours and normals: the bound holds for every value, and more error never costs more bytes by much. */
+TEST(bounds_hold)
+{
+    static const double bounds[] = {0.01, 0.3, 1, 3, 10, 60};
+    uint64_t seed = 3;
+    for (int kind = 0; kind < 2; kind++)
+        for (int style = 0; style < 5; style++) {
+            stream s = {malloc(4 * 2100), style == 4 ? 1025 : 2100, kinds[kind]};
+            for (uint64_t i = 0; i < s.count; i++) {
+                double x = (double)i / 40, noise = (double)(test_random(&seed) % 1000) / 1000;
+                uint32_t v;
+                if (kind == 0) {
+                    double base[3] = {120 + 60 * sin(x / 9), 100 + 50 * sin(x / 7 + 1), 90 + 40 * sin(x / 5 + 2)}, amount = style == 0 ? 0 : style == 1 ? 12 : 60;
+                    v = 0;
+                    for (int k = 0; k < 3; k++) v |= (uint32_t)(base[k] + amount * (noise - 0.5)) << 8 * k;
+                } else {
+                    double a = x / 10 + (style == 0 ? 0 : 0.1 * noise), b = sin(x / 13) + (style < 2 ? 0 : noise);
+                    float n[3] = {(float)(cos(a) * cos(b)), (float)(sin(a) * cos(b)), (float)sin(b)};
+                    uint8_t bytes[4];
+                    svo_oct32_encode(n, bytes);
+                    memcpy(&v, bytes, 4);
+                }
+                s.v[i] = style == 3 ? valid(s.kind, (uint32_t)test_random(&seed)) : v;
+            }
+            uint32_t table[700];
+            for (size_t t = 0; t < 700; t++) table[t] = s.v[t * (s.count / 700)];
+            qsort(table, 700, sizeof *table, compare_u32);
+            uint64_t n = 0, last = UINT64_MAX;
+            for (size_t t = 0; t < 700; t++)
+                if (t == 0 || table[t] != table[n - 1]) table[n++] = table[t];
+            for (size_t b = 0; b < sizeof bounds / sizeof *bounds && !test_failed(); b++)
+                for (int price = 0; price < 3; price++) {
+                    svo_palette_goal goal = {bounds[b], price == 0 ? 0 : price == 1 ? 3 : 0.02, price == 2 && kind == 0};
+                    uint64_t bytes = check_stream(&s, table, n, goal);
+                    if (price == 0 && last != UINT64_MAX) CHECK_MSG((double)bytes <= 1.05 * (double)last, "kind %d style %d bound %g: %llu bytes, %llu with a smaller bound", kind, style, bounds[b], (unsigned long long)bytes, (unsigned long long)last);
+                    if (price == 0) last = bytes;
+                }
+            free(s.v);
+        }
+}
+
+/* Sizes that follow from the format by hand: 1024 values alternating between two, table of 4096 (12 bits): entry 12,
+ * header 2, data (1024 + 24) / 8 = 131, base 8, padding 8. */
 TEST(size_by_hand)
 {
-    stream s = {malloc(4096), 1024};
-    for (uint64_t i = 0; i < 1024; i++) s.v[i] = i % 2 ? 4095 : 7;
-    CHECK_U64(check_stream(&s, 4096), 8 + 8 + 2 + 131 + 8);
-    /* half constant, half noise of 12 bits: map, two headers, 2 bytes of constant, 768 of noise */
-    for (uint64_t i = 0; i < 1024; i++) s.v[i] = i < 512 ? 5 : (uint32_t)(i * 2654435761u >> 20 & 4095);
-    CHECK_U64(check_stream(&s, 4096), 8 + 8 + 4 + 2 + 768 + 8);
+    uint32_t table[4096];
+    for (uint32_t i = 0; i < 4096; i++) table[i] = i * 2654435761u >> 8;
+    stream s = {malloc(4096), 1024, SVO_KIND_COLOR_SRGB8};
+    for (uint64_t i = 0; i < 1024; i++) s.v[i] = table[i % 2 ? 4095 : 7];
+    CHECK_U64(check_stream(&s, table, 4096, (svo_palette_goal){0}), 12 + 2 + 131 + 16);
+    /* half one value, half noise of 12 bits: two headers, 768 bytes of noise */
+    for (uint64_t i = 0; i < 1024; i++) s.v[i] = table[i < 512 ? 5 : i * 2654435761u >> 9 & 4095];
+    CHECK_U64(check_stream(&s, table, 4096, (svo_palette_goal){0}), 12 + 4 + 768 + 16);
     free(s.v);
 }
 
-/* Any change of a bit is refused or leaves all values in the table and readable (the sanitizers watch). */
-TEST(damage_is_refused_or_harmless)
+/* Any change of a bit is refused or leaves all values readable (the sanitizers watch). */
+static void damage(svo_channel_kind kind, svo_palette_goal goal, uint64_t seed)
 {
-    uint64_t seed = 2;
-    stream s = {malloc(4 * 3000), 3000};
-    fill(&s, 100, 5, &seed);
+    uint32_t table[100];
+    uint64_t n = make_table(kind, 100, true, &seed, table);
+    stream s = {malloc(4 * 3000), 3000, kind};
+    for (int part = 0; part < 3; part++) {
+        stream third = {s.v + 1000 * part, 1000, kind};
+        fill(&third, table, n, part == 0 ? 5 : part == 1 ? 7 : 3, &seed);
+    }
     encoded e;
-    encode(&s, 100, 1, &e);
-    uint64_t refused = 0, tried = 0;
+    encode(&s, table, n * 3 / 4, goal, 1, &e);
+    uint64_t refused = 0, tried = 0, sum = 0;
     for (uint64_t bit = 0; bit < 8 * (e.directory.size + e.payload.size); bit++, tried++) {
         svo_buffer *b = bit < 8 * e.directory.size ? &e.directory : &e.payload;
         uint64_t at = b == &e.directory ? bit : bit - 8 * e.directory.size;
         b->data[at / 8] ^= (uint8_t)(1u << at % 8);
-        const uint64_t *directory = (const uint64_t *)(const void *)e.directory.data;
         svo_error err = {0};
-        if (svo_palette_check(s.count, 100, directory, e.directory.size / 8, e.payload.data, e.payload.size, NULL, &err) == SVO_OK) {
-            for (uint64_t i = 0; i < s.count; i++) CHECK(svo_palette_index(directory, e.payload.data, 7, i) < 100);
+        if (svo_palette_check(&e.p, NULL, &err) == SVO_OK) {
+            for (uint64_t i = 0; i < s.count; i++) {
+                uint32_t v = svo_palette_value(&e.p, i);
+                sum += v;
+                if (kind == SVO_KIND_NORMAL_OCT32 && ((v & 0xffff) == 0x8000 || v >> 16 == 0x8000)) test_fail(__FILE__, __LINE__, "-32768");
+            }
         } else {
             refused++;
         }
         b->data[at / 8] ^= (uint8_t)(1u << at % 8);
     }
-    CHECK(refused > 8 * e.directory.size / 2 && refused < tried);
-    /* wrong sizes */
-    const uint64_t *directory = (const uint64_t *)(const void *)e.directory.data;
+    CHECK(refused > 8 * e.directory.size / 2 && refused < tried && sum != 0);
+    svo_palette p = e.p;
     svo_error err = {0};
-    CHECK_RESULT(svo_palette_check(s.count, 100, directory, 2, e.payload.data, e.payload.size, NULL, &err), SVO_INVALID_DATA);
-    for (uint64_t size = 0; size < e.payload.size; size++)
-        CHECK_RESULT(svo_palette_check(s.count, 100, directory, 3, e.payload.data, size, NULL, &err), SVO_INVALID_DATA);
-    CHECK_RESULT(svo_palette_check(s.count, 0, directory, 3, e.payload.data, e.payload.size, NULL, &err), SVO_INVALID_DATA);
+    p.superblock_count = 2;
+    CHECK_RESULT(svo_palette_check(&p, NULL, &err), SVO_INVALID_DATA);
+    p = e.p;
+    for (uint64_t size = 0; size < e.payload.size; size++) {
+        /* a copy of its own, so that reading behind it is seen */
+        uint8_t *copy = malloc(size + 1);
+        memcpy(copy, e.payload.data, size);
+        p.payload = copy, p.payload_size = size;
+        CHECK_RESULT(svo_palette_check(&p, NULL, &err), SVO_INVALID_DATA);
+        free(copy);
+    }
+    p = e.p;
+    p.table_count = 0;
+    CHECK_RESULT(svo_palette_check(&p, NULL, &err), SVO_INVALID_DATA);
     encoded_free(&e);
     free(s.v);
+}
+TEST(damaged_colors) { damage(SVO_KIND_COLOR_SRGB8, (svo_palette_goal){0}, 2); }
+TEST(damaged_bounded_colors) { damage(SVO_KIND_COLOR_SRGB8, (svo_palette_goal){2, 0.1, false}, 3); }
+TEST(damaged_normals) { damage(SVO_KIND_NORMAL_OCT32, (svo_palette_goal){1, 0.1, false}, 4); }
+TEST(damaged_bytes) { damage(SVO_KIND_UNORM8, (svo_palette_goal){0}, 5); }
+TEST(damaged_labels) { damage(SVO_KIND_ID16, (svo_palette_goal){0}, 6); }
+TEST(damaged_wide_labels) { damage(SVO_KIND_ID32, (svo_palette_goal){0}, 7); }
+
+/* YCoCg-R comes back for every colour of a coarse grid and every colour beside its planes. */
+TEST(lattices_of_one_point_are_exact)
+{
+    static const uint32_t at[] = {0, 1, 2, 63, 64, 100, 127, 128, 129, 200, 254, 255};
+    for (uint32_t i = 0; i < 12 * 12 * 12; i++) {
+        uint32_t v = at[i % 12] | at[i / 12 % 12] << 8 | at[i / 144] << 16;
+        svo_lattice l = {.n = {1, 1, 1}, .step = {1, 1, 1}};
+        svo_lattice_split(SVO_KIND_COLOR_SRGB8, v, l.low);
+        CHECK_U64(svo_lattice_point(SVO_KIND_COLOR_SRGB8, &l, 0), v);
+    }
 }

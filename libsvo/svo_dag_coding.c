@@ -1,0 +1,225 @@
+/* Packing a channel: as a constant, as blocks within its goal, or raw. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "svo_palette.h"
+#include "svo_quantize.h"
+#include "svo_task.h"
+#include "svoi_dag.h"
+
+/* A table entry costs its bytes once and widens every index; a value this rare is better held by a lattice. */
+enum { RARE = 4, SMALL_TABLE = 4096 };
+
+typedef struct source {
+    const svoi_values *values;
+    const svoi_distinct *distinct; /* with `mapped`: */
+    const uint32_t *mapped;        /* what distinct values become; NULL: themselves */
+} source;
+
+static void give_values(void *user, uint64_t first, uint32_t n, uint32_t *out)
+{
+    const source *s = user;
+    uint32_t stride = s->values->stride, last = 0, last_mapped = 0;
+    const uint8_t *p = svoi_values_at(s->values, first); /* superblocks do not straddle pages */
+    for (uint32_t i = 0; i < n; i++, p += stride) {
+        uint32_t value = svoi_load_value(p, stride);
+        if (s->mapped != NULL) {
+            if (i == 0 || value != last) last = value, last_mapped = s->mapped[svoi_distinct_index(s->distinct, value)];
+            value = last_mapped;
+        }
+        out[i] = value;
+    }
+}
+
+static void make_constant(svo_packed *p, uint32_t channel, uint32_t value, svo_dag_channel_report *report)
+{
+    svo_view_channel *c = &p->view.channels[channel];
+    c->encoding = SVO_ENCODING_CONSTANT;
+    c->channel.constant = true;
+    memset(c->channel.value, 0, sizeof c->channel.value);
+    svoi_store_value(c->channel.value, svo_channel_stride(c->channel.kind), value);
+    report->left_out = true;
+    report->bytes = 0;
+}
+
+/* Copy as they are, after mapping; the pages are given back on the way. */
+static svo_result pack_raw(svo_packed *p, uint32_t channel, svoi_values *values, const source *s, svo_error *err)
+{
+    svo_buffer *raw = &p->raw[channel];
+    uint32_t stride = values->stride;
+    if (!svo_buffer_reserve(raw, (size_t)values->count * stride)) return svoi_no_memory(p, "attributes", err);
+    for (uint64_t page = 0; page < values->page_count; page++) {
+        uint64_t left = values->count - (page << SVOI_PAGE_BITS), n = left < SVOI_PAGE ? left : SVOI_PAGE;
+        uint8_t *from = values->page[page];
+        if (s->mapped != NULL)
+            for (uint64_t i = 0; i < n; i++)
+                svoi_store_value(from + i * stride, stride, s->mapped[svoi_distinct_index(s->distinct, svoi_load_value(from + i * stride, stride))]);
+        svo_buffer_append(raw, from, (size_t)n * stride);
+        svo_free(values->a, from, SVOI_PAGE, stride);
+        values->page[page] = NULL;
+    }
+    p->view.channels[channel].encoding = SVO_ENCODING_RAW;
+    p->view.channels[channel].raw = raw->data;
+    return SVO_OK;
+}
+
+/* --- tables ------------------------------------------------------------------------------------------------------ */
+
+typedef struct entry { uint64_t times; uint32_t value; } entry;
+
+static int most_frequent_first(const void *a, const void *b)
+{
+    const entry *x = a, *y = b;
+    if (x->times != y->times) return x->times > y->times ? -1 : 1;
+    return (x->value > y->value) - (x->value < y->value);
+}
+
+/* The distinct values among mapped[], most frequent first, so that those of whole blocks fit the headers. Rare ones are
+ * left out where there are many. *table has room for `count`. */
+static svo_result make_table(const svo_packed *p, const uint32_t *mapped, const uint64_t *times, uint64_t count, uint32_t *table,
+                             uint64_t *table_count, uint64_t *kept_values, svo_error *err)
+{
+    svoi_distinct kept = {.a = &p->memory.base};
+    bool ok = true;
+    for (uint64_t i = 0; i < count && ok; i++) ok = svoi_distinct_add(&kept, mapped[i], times[i]);
+    entry *e = ok ? svo_alloc(kept.a, kept.count, sizeof *e) : NULL;
+    if (e != NULL) {
+        for (uint64_t i = 0; i < kept.count; i++) e[i] = (entry){kept.times[i], kept.value[i]};
+        qsort(e, (size_t)kept.count, sizeof *e, most_frequent_first);
+        uint64_t n = 0;
+        while (n < kept.count && (n < SMALL_TABLE || e[n].times >= RARE)) table[n] = e[n].value, n++;
+        *table_count = n;
+        *kept_values = kept.count;
+    }
+    svo_free(kept.a, e, kept.count, sizeof *e);
+    svoi_distinct_free(&kept);
+    return e != NULL ? SVO_OK : svoi_no_memory(p, "quantisation", err);
+}
+
+/* --- channels ---------------------------------------------------------------------------------------------------- */
+
+typedef struct packing {
+    svo_packed *p;
+    uint32_t channel;
+    svoi_values *values;
+    svoi_distinct distinct;
+    uint32_t *mapped, *table; /* room for distinct.count */
+    const svo_dag_options *options;
+    svo_dag_channel_report *report;
+} packing;
+
+static svo_result encode(packing *k, const source *s, uint64_t table_count, svo_palette_goal goal, svo_palette_stats *stats, svo_error *err)
+{
+    svo_packed *p = k->p;
+    svo_view_channel *c = &p->view.channels[k->channel];
+    svo_buffer *directory = &p->directory[k->channel], *payload = &p->payload[k->channel], *table = &p->table[k->channel];
+    uint32_t stride = k->values->stride;
+    svo_palette_job job = {.kind = c->channel.kind, .count = k->values->count, .source = give_values, .user = (void *)(uintptr_t)s,
+                           .table = k->table, .table_count = table_count, .goal = goal, .threads = k->options->threads,
+                           .allocator = &p->memory.base};
+    svo_result r = svo_palette_encode(&job, directory, payload, stats, err);
+    if (r == SVO_OK && svo_buffer_append(table, NULL, (size_t)table_count * stride) == NULL) r = SVO_OUT_OF_MEMORY;
+    if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "attributes", err);
+    if (r != SVO_OK) return r;
+    for (uint64_t i = 0; i < table_count; i++) svoi_store_value(table->data + i * stride, stride, k->table[i]);
+    c->encoding = SVO_ENCODING_BLOCKS;
+    c->table = table->data;
+    c->table_count = table_count;
+    c->directory = directory->data;
+    c->superblock_count = directory->size / SVO_PALETTE_ENTRY;
+    c->payload = payload->data;
+    c->payload_size = payload->size;
+    k->report->bytes = table->size + directory->size + payload->size;
+    return SVO_OK;
+}
+
+static void forget_blocks(packing *k)
+{
+    svo_view_channel *c = &k->p->view.channels[k->channel];
+    svo_buffer_free(&k->p->table[k->channel]);
+    svo_buffer_free(&k->p->directory[k->channel]);
+    svo_buffer_free(&k->p->payload[k->channel]);
+    c->table = c->payload = c->directory = NULL;
+    c->table_count = c->superblock_count = c->payload_size = 0;
+}
+
+/* Values are mapped one by one, by a number of bits or not at all, and then stored exactly. */
+static svo_result pack_exactly(packing *k, svo_error *err)
+{
+    const svoi_distinct *d = &k->distinct;
+    svo_channel_kind kind = k->p->view.channels[k->channel].channel.kind;
+    svo_quantize_result q = {0};
+    svo_result r = svo_quantize(kind, d->value, d->times, d->count, k->options, &k->p->memory.base, k->mapped, &q, err);
+    if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
+    if (r != SVO_OK) return r;
+    k->report->error_mean = q.error_mean;
+    k->report->error_max = q.error_max;
+    uint64_t table_count = 0, kept = 0;
+    SVO_TRY(make_table(k->p, k->mapped, d->times, d->count, k->table, &table_count, &kept, err));
+    k->report->distinct_out = kept;
+    if (kept == 1) {
+        make_constant(k->p, k->channel, k->mapped[0], k->report);
+        return SVO_OK;
+    }
+    source s = {k->values, d, q.lossy ? k->mapped : NULL};
+    SVO_TRY(encode(k, &s, table_count, (svo_palette_goal){0}, NULL, err));
+    uint64_t raw = k->values->count * k->values->stride;
+    if (k->report->bytes < raw) return SVO_OK;
+    forget_blocks(k);
+    k->report->bytes = raw;
+    return pack_raw(k->p, k->channel, k->values, &s, err);
+}
+
+/* Blocks chosen by what they cost, each value within a bound. */
+static svo_result pack_within(packing *k, svo_palette_goal goal, svo_error *err)
+{
+    const svoi_distinct *d = &k->distinct;
+    svo_channel_kind kind = k->p->view.channels[k->channel].channel.kind;
+    svo_dag_options table_options = {.color_bits = 12, .normal_bits = 12, .threads = k->options->threads};
+    svo_quantize_result q = {0};
+    svo_result r = svo_quantize(kind, d->value, d->times, d->count, &table_options, &k->p->memory.base, k->mapped, &q, err);
+    if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
+    if (r != SVO_OK) return r;
+    uint64_t table_count = 0, kept = 0;
+    SVO_TRY(make_table(k->p, k->mapped, d->times, d->count, k->table, &table_count, &kept, err));
+    source s = {k->values, d, NULL};
+    svo_palette_stats stats;
+    SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
+    k->report->distinct_out = table_count;
+    k->report->error_mean = stats.error_sum / (double)k->values->count;
+    k->report->error_max = stats.error_max;
+    if (stats.error_max > goal.bound) return svo_fail(err, SVO_RUNTIME, "an error of %.9g is above the bound of %.9g", stats.error_max, goal.bound);
+    return SVO_OK;
+}
+
+svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,
+                             svo_dag_channel_report *report, svo_error *err)
+{
+    const svo_allocator *a = &p->memory.base;
+    svo_view_channel *c = &p->view.channels[channel];
+    svo_buffer *parts[] = {&p->raw[channel], &p->table[channel], &p->directory[channel], &p->payload[channel]};
+    for (int i = 0; i < 4; i++) svo_buffer_init(parts[i], a);
+    if (c->channel.constant || values->count == 0) { /* an empty octree has no values at all */
+        report->distinct_in = report->distinct_out = c->channel.constant ? 1 : 0;
+        make_constant(p, channel, svoi_load_value(c->channel.value, svo_channel_stride(c->channel.kind)), report);
+        return SVO_OK;
+    }
+    packing k = {.p = p, .channel = channel, .values = values, .distinct = {.a = a}, .options = options, .report = report};
+    if (svoi_values_distinct(values, options->threads, &k.distinct) != SVO_OK) return svoi_no_memory(p, "attributes", err);
+    report->distinct_in = k.distinct.count;
+    k.mapped = svo_alloc(a, k.distinct.count, sizeof *k.mapped);
+    k.table = svo_alloc(a, k.distinct.count, sizeof *k.table);
+    svo_palette_goal goal = {0};
+    if (c->channel.kind == SVO_KIND_COLOR_SRGB8) goal.bound = options->color_delta_e;
+    if (c->channel.kind == SVO_KIND_NORMAL_OCT32) goal.bound = options->normal_degrees;
+    if (goal.bound > 0) goal.price = 0.1 / goal.bound;
+    svo_result r;
+    if (k.mapped == NULL || k.table == NULL) r = svoi_no_memory(p, "attributes", err);
+    else if (goal.bound > 0 && k.distinct.count > 1) r = pack_within(&k, goal, err);
+    else r = pack_exactly(&k, err);
+    svo_free(a, k.mapped, k.distinct.count, sizeof *k.mapped);
+    svo_free(a, k.table, k.distinct.count, sizeof *k.table);
+    svoi_distinct_free(&k.distinct);
+    svoi_values_free(values);
+    return r;
+}

@@ -1,0 +1,455 @@
+/* The kinds of block, each fitted to the values at hand: svoi_lossy.h. */
+#include <math.h>
+
+#include "svoi_lossy.h"
+
+static uint32_t whole_bytes(uint32_t bits) { return (bits + 7) & ~7u; }
+
+static void take(svoi_node *n, float cost, uint32_t mode) { n->cost = cost, n->mode = mode, n->entries = 0; }
+
+static bool fits(const svoi_lossy_state *s, const svoi_item *it, uint32_t entry, float distance2)
+{
+    const svoi_points *t = s->t;
+    if (t->squares) distance2 = svoi_distance2(&s->check[it->id], s->check_weights[it->id], &t->check[entry]);
+    return distance2 <= t->bound2;
+}
+
+/* Cost of items [low, high) with one entry; *valid when all are within the bound. */
+static float entry_cost(const svoi_lossy_state *s, uint32_t low, uint32_t high, uint32_t entry, bool *valid)
+{
+    const svoi_point *q = &s->t->table[entry];
+    float sum = 0;
+    *valid = true;
+    for (uint32_t i = low; i < high; i++) {
+        const svoi_item *it = &s->item[i];
+        float d = svoi_distance2(&it->p, it->w, q);
+        if (!fits(s, it, entry, d)) *valid = false;
+        sum += svoi_cost(s->t, d) * it->count;
+    }
+    return sum;
+}
+
+/* --- clusters ---------------------------------------------------------------------------------------------------- */
+
+typedef struct cluster {
+    uint32_t low, high;  /* items */
+    float middle[3];     /* where it is cut */
+    int axis;
+    float spread;        /* how much there is to gain by cutting it */
+    uint32_t entry;
+    float cost;
+    bool valid;          /* the entry is within the bound of all items */
+} cluster;
+
+/* Mean, axis of largest variance, and the best entry for the items of a cluster. */
+static void measure(svoi_lossy_state *s, cluster *c)
+{
+    const svoi_item *it = s->item + c->low;
+    if (c->high - c->low == 1) {
+        c->entry = s->own[it->id];
+        c->valid = s->own_fits[it->id];
+        c->cost = svoi_cost(s->t, svoi_distance2(&it->p, it->w, &s->t->table[c->entry])) * it->count;
+        c->spread = 0;
+        return;
+    }
+    float weight = 0, sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, wh = 0;
+    svoi_point o = it->p;
+    for (uint32_t i = 0; i < c->high - c->low; i++) {
+        float n = it[i].count;
+        weight += n;
+        wh += n * it[i].w.wh;
+        for (int k = 0; k < 3; k++) {
+            float x = it[i].p.x[k] - o.x[k];
+            sum[k] += n * x;
+            square[k] += n * x * x;
+        }
+    }
+    wh /= weight;
+    float largest = -1;
+    c->spread = 0;
+    for (int k = 0; k < 3; k++) {
+        float mean = sum[k] / weight, variance = square[k] - sum[k] * mean;
+        if (k != 0) variance *= wh;
+        c->middle[k] = o.x[k] + mean;
+        c->spread += variance;
+        if (variance > largest) largest = variance, c->axis = k;
+    }
+    uint32_t nearest = 0;
+    float least = INFINITY;
+    for (uint32_t i = 0; i < c->high - c->low; i++) {
+        float d = 0;
+        for (int k = 0; k < 3; k++) {
+            float x = it[i].p.x[k] - c->middle[k];
+            d += x * x;
+        }
+        if (d < least) least = d, nearest = i;
+    }
+    c->entry = svoi_near(s->t, &s->near, c->middle);
+    c->cost = entry_cost(s, c->low, c->high, c->entry, &c->valid);
+    uint32_t other = s->own[it[nearest].id];
+    if (other == c->entry) return;
+    bool valid;
+    float cost = entry_cost(s, c->low, c->high, other, &valid);
+    if (valid > c->valid || (valid == c->valid && cost < c->cost)) c->entry = other, c->cost = cost, c->valid = valid;
+}
+
+/* Items on the lower side of the cut come first; false when all are on one side. */
+static bool cut(svoi_lossy_state *s, cluster *c, cluster *upper)
+{
+    uint32_t i = c->low, j = c->high;
+    while (i < j) {
+        if (s->item[i].p.x[c->axis] < c->middle[c->axis]) {
+            i++;
+        } else {
+            j--;
+            svoi_item t = s->item[i];
+            s->item[i] = s->item[j];
+            s->item[j] = t;
+        }
+    }
+    if (i == c->low || i == c->high) return false;
+    *upper = (cluster){.low = i, .high = c->high};
+    c->high = i;
+    return true;
+}
+
+/* --- one entry, raw ---------------------------------------------------------------------------------------------- */
+
+void svoi_try_one(svoi_lossy_state *s, svoi_node *n)
+{
+    if (s->t->count == 0) return;
+    cluster c = {.low = 0, .high = s->items};
+    if (s->items > 1) {
+        /* two values too far apart for any entry: the farthest from the first, roughly */
+        float limit = 4 * s->t->bound2;
+        for (uint32_t i = 1; i < s->items && !s->t->squares; i++)
+            if (svoi_distance2(&s->item[0].p, s->item[0].w, &s->item[i].p) > 1.5f * limit) return;
+    }
+    measure(s, &c);
+    if (!c.valid) return;
+    bool wide = c.entry >= 4096;
+    float cost = (float)(SVOI_HEADER_BITS + (wide ? whole_bytes(s->table_bits) : 0)) + c.cost;
+    if (!(cost < n->cost)) return;
+    take(n, cost, wide ? SVO_BLOCK_ONE_WIDE : SVO_BLOCK_ONE);
+    n->entries = 1;
+    n->entry[0] = (uint16_t)c.entry;
+}
+
+void svoi_try_raw(svoi_lossy_state *s, svoi_node *n)
+{
+    float cost = (float)(SVOI_HEADER_BITS + whole_bytes(s->length * s->table_bits));
+    if (s->t->count == 0 || !(cost < n->cost)) return;
+    for (uint32_t i = 0; i < s->items; i++) {
+        const svoi_item *it = &s->item[i];
+        if (!s->own_fits[it->id]) return;
+        cost += svoi_cost(s->t, svoi_distance2(&it->p, it->w, &s->t->table[s->own[it->id]])) * it->count;
+    }
+    if (cost < n->cost) take(n, cost, SVO_BLOCK_RAW);
+}
+
+/* --- palettes ---------------------------------------------------------------------------------------------------- */
+
+static uint32_t width_of(uint32_t entries) { return entries > 2 ? 32 - (uint32_t)__builtin_clz(entries - 1) : 1; }
+
+void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c)
+{
+    c->count = n->entries;
+    for (uint32_t i = 0; i < n->entries; i++) {
+        c->p[i] = s->t->table[n->entry[i]];
+        if (s->t->squares) c->check[i] = s->t->check[n->entry[i]];
+    }
+}
+
+static void keep_entries(svoi_node *n, const cluster *c, uint32_t count)
+{
+    n->entries = count;
+    for (uint32_t i = 0; i < count; i++) n->entry[i] = (uint16_t)c[i].entry;
+}
+
+static uint32_t count_changes(const svoi_lossy_state *s)
+{
+    uint32_t changes = 1, last = s->label[s->run_id[0]];
+    for (uint32_t r = 1; r < s->runs; r++) {
+        uint32_t label = s->label[s->run_id[r]];
+        changes += label != last;
+        last = label;
+    }
+    return changes;
+}
+
+/* With runs: an estimate from the labels first, then the best runs for these entries. */
+static void try_runs(svoi_lossy_state *s, const cluster *c, uint32_t k, float error, svoi_node *n)
+{
+    uint32_t width = width_of(k), fixed = SVOI_HEADER_BITS + 8 + k * s->table_bits + s->length;
+    float estimate = (float)(fixed + count_changes(s) * width) + error;
+    if (estimate > 1.25f * n->cost) return;
+    svoi_node with = {.entries = 0};
+    svoi_candidates candidates;
+    keep_entries(&with, c, k);
+    svoi_palette_candidates(s, &with, &candidates);
+    float cost = svoi_runs_cost(s, &candidates, width, NULL) + (float)fixed + 4; /* rounding to bytes */
+    if (!(cost < n->cost)) return;
+    take(n, cost, SVO_BLOCK_PALETTE_RUNS + width - 2);
+    keep_entries(n, c, k);
+}
+
+static bool worth_trying_runs(uint32_t k) { return k <= 4 || k == 6 || k == 8 || k == 12 || k == 16 || k == 24 || k == 32 || k == 48 || k == 64; }
+
+void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
+{
+    if (s->t->count == 0) return;
+    cluster c[SVOI_LOSSY_ENTRIES] = {{.low = 0, .high = s->items}};
+    measure(s, &c[0]);
+    for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = 0;
+    float error = c[0].cost;
+    uint32_t k = 1, invalid = !c[0].valid;
+    while (k < SVOI_LOSSY_ENTRIES) {
+        uint32_t pick = k;
+        for (uint32_t i = 0; i < k; i++)
+            if (c[i].high - c[i].low > 1 &&
+                (pick == k || c[i].valid < c[pick].valid || (c[i].valid == c[pick].valid && c[i].spread > c[pick].spread)))
+                pick = i;
+        if (pick == k || (invalid != 0 && c[pick].valid)) return; /* an entry alone is not within the bound */
+        if (invalid == 0 && !(error > 0)) return;
+        cluster old = c[pick];
+        if (!cut(s, &c[pick], &c[k])) {
+            c[pick].spread = 0;
+            if (!c[pick].valid) return;
+            bool more = false;
+            for (uint32_t i = 0; i < k; i++) more = more || c[i].spread > 0;
+            if (!more) return;
+            continue;
+        }
+        measure(s, &c[pick]);
+        measure(s, &c[k]);
+        for (uint32_t i = c[k].low; i < c[k].high; i++) s->label[s->item[i].id] = (uint8_t)k;
+        error += c[pick].cost + c[k].cost - old.cost;
+        invalid = invalid - !old.valid + !c[pick].valid + !c[k].valid;
+        k++;
+        uint32_t width = width_of(k), least = SVOI_HEADER_BITS + k * s->table_bits + s->length;
+        if ((float)least >= n->cost) return;
+        if (invalid != 0) continue;
+        float cost = (float)(SVOI_HEADER_BITS + whole_bytes(k * s->table_bits + s->length * width)) + error;
+        if (cost < n->cost) {
+            take(n, cost, SVO_BLOCK_PALETTE + width - 1);
+            keep_entries(n, c, k);
+        }
+        if (k > 2 && worth_trying_runs(k)) try_runs(s, c, k, error, n);
+    }
+}
+
+/* --- lines ------------------------------------------------------------------------------------------------------- */
+
+void svoi_line_candidates(const svoi_lossy_state *s, const svoi_node *n, uint32_t width, svoi_candidates *c)
+{
+    const uint32_t *table = s->e->job->table;
+    c->count = 1u << width;
+    for (uint32_t i = 0; i < c->count; i++) {
+        uint32_t value = svo_line_point(s->t->kind, table[n->entry[0]], table[n->entry[1]], i, c->count - 1);
+        c->p[i] = svoi_point_of(s->t->kind, s->t->squares, value);
+        if (s->t->squares) c->check[i] = svoi_point_of(s->t->kind, false, value);
+    }
+}
+
+/* Mean and direction of the largest variance. */
+static bool principal_axis(const svoi_lossy_state *s, float mean[3], float v[3])
+{
+    float weight = 0, sum[3] = {0, 0, 0}, m[6] = {0, 0, 0, 0, 0, 0};
+    svoi_point o = s->item[0].p;
+    for (uint32_t i = 0; i < s->items; i++) {
+        float n = s->item[i].count, x = s->item[i].p.x[0] - o.x[0], y = s->item[i].p.x[1] - o.x[1], z = s->item[i].p.x[2] - o.x[2];
+        weight += n;
+        sum[0] += n * x, sum[1] += n * y, sum[2] += n * z;
+        m[0] += n * x * x, m[1] += n * x * y, m[2] += n * x * z, m[3] += n * y * y, m[4] += n * y * z, m[5] += n * z * z;
+    }
+    for (int k = 0; k < 3; k++) mean[k] = sum[k] / weight;
+    m[0] -= sum[0] * mean[0], m[1] -= sum[0] * mean[1], m[2] -= sum[0] * mean[2];
+    m[3] -= sum[1] * mean[1], m[4] -= sum[1] * mean[2], m[5] -= sum[2] * mean[2];
+    for (int k = 0; k < 3; k++) mean[k] += o.x[k];
+    if (m[0] >= m[3] && m[0] >= m[5]) v[0] = m[0], v[1] = m[1], v[2] = m[2];
+    else if (m[3] >= m[5]) v[0] = m[1], v[1] = m[3], v[2] = m[4];
+    else v[0] = m[2], v[1] = m[4], v[2] = m[5];
+    for (int i = 0; i < 5; i++) {
+        float x = m[0] * v[0] + m[1] * v[1] + m[2] * v[2], y = m[1] * v[0] + m[3] * v[1] + m[4] * v[2], z = m[2] * v[0] + m[4] * v[1] + m[5] * v[2];
+        float l = sqrtf(x * x + y * y + z * z);
+        if (!(l > 1e-6f)) return false;
+        v[0] = x / l, v[1] = y / l, v[2] = z / l;
+    }
+    return true;
+}
+
+void svoi_try_lines(svoi_lossy_state *s, svoi_node *n)
+{
+    if (s->t->count == 0 || s->items < 3) return;
+    float mean[3], v[3], low = INFINITY, high = -INFINITY, end[2][3];
+    uint32_t fixed = SVOI_HEADER_BITS + 2 * s->table_bits;
+    if ((float)(fixed + s->length) >= n->cost || !principal_axis(s, mean, v)) return;
+    for (uint32_t i = 0; i < s->items; i++) {
+        float at = 0;
+        for (int k = 0; k < 3; k++) at += (s->item[i].p.x[k] - mean[k]) * v[k];
+        if (at < low) low = at;
+        if (at > high) high = at;
+    }
+    for (int k = 0; k < 3; k++) end[0][k] = mean[k] + v[k] * low, end[1][k] = mean[k] + v[k] * high;
+    svoi_node line = {.entries = 2};
+    for (int i = 0; i < 2; i++) line.entry[i] = (uint16_t)svoi_near(s->t, &s->near, end[i]);
+    if (line.entry[0] == line.entry[1]) return;
+    for (uint32_t width = 2; width <= 4; width++) {
+        float least = (float)(fixed + s->length);
+        if (least >= n->cost) return;
+        svoi_candidates c;
+        svoi_line_candidates(s, &line, width, &c);
+        float error = svoi_plain_cost(s, &c, NULL);
+        if (!(error < INFINITY)) continue;
+        float cost = (float)(SVOI_HEADER_BITS + whole_bytes(2 * s->table_bits + s->length * width)) + error;
+        if (cost < n->cost) {
+            take(n, cost, SVO_BLOCK_LINE + width - 2);
+            n->entries = 2, n->entry[0] = line.entry[0], n->entry[1] = line.entry[1];
+        }
+        if (least + error + (float)(count_changes(s) * width) > 1.25f * n->cost) continue;
+        cost = svoi_runs_cost(s, &c, width, NULL) + least + 4;
+        if (cost < n->cost) {
+            take(n, cost, SVO_BLOCK_LINE_RUNS + width - 2);
+            n->entries = 2, n->entry[0] = line.entry[0], n->entry[1] = line.entry[1];
+        }
+    }
+}
+
+/* --- lattices ---------------------------------------------------------------------------------------------------- */
+
+uint32_t svoi_lattice_number(svo_channel_kind kind, const svo_lattice *l, uint32_t value)
+{
+    int32_t c[3];
+    uint64_t number = 0;
+    svo_lattice_split(kind, value, c);
+    for (uint32_t k = svo_lattice_components(kind); k-- > 0;) {
+        int64_t step = l->step[k], at = (int64_t)c[k] - l->low[k] + step / 2;
+        int64_t q = at < 0 ? 0 : at / step;
+        if (q >= (int64_t)l->n[k]) q = (int64_t)l->n[k] - 1;
+        number = number * l->n[k] + (uint64_t)q;
+    }
+    return (uint32_t)number;
+}
+
+static uint32_t value_of(svo_channel_kind kind, const int32_t c[3])
+{
+    svo_lattice l = {.low = {c[0], c[1], c[2]}, .n = {1, 1, 1}, .step = {1, 1, 1}};
+    return svo_lattice_point(kind, &l, 0);
+}
+
+/* Steps so that the corner of a cell is at distance 1, were the space flat: h[k] in units of component k. */
+static bool cell_shape(const svoi_lossy_state *s, const int32_t middle[3], bool check, float h[3])
+{
+    svo_channel_kind kind = s->t->kind;
+    bool rgb = s->t->squares && !check;
+    uint32_t components = svo_lattice_components(kind);
+    int32_t delta = kind == SVO_KIND_NORMAL_OCT32 ? 128 : 4;
+    svoi_point at = svoi_point_of(kind, rgb, value_of(kind, middle));
+    svoi_weights w = svoi_weights_of(kind, rgb, &at);
+    float d[3][4], worst = 0;
+    for (uint32_t k = 0; k < components; k++) {
+        int32_t a[3] = {middle[0], middle[1], middle[2]}, b[3] = {middle[0], middle[1], middle[2]};
+        a[k] -= delta, b[k] += delta;
+        svoi_point p = svoi_point_of(kind, rgb, value_of(kind, a)), q = svoi_point_of(kind, rgb, value_of(kind, b));
+        float norm = svoi_distance2(&p, w, &q);
+        if (!(norm > 0)) return false;
+        h[k] = 2 * (float)delta / sqrtf(norm);
+        for (int i = 0; i < 4; i++) d[k][i] = (q.x[i] - p.x[i]) / (2 * (float)delta) * h[k];
+    }
+    for (uint32_t signs = 0; signs < 4; signs++) { /* corners of a cell with half edges h */
+        svoi_point corner = {{0, 0, 0, 0}}, zero = {{0, 0, 0, 0}};
+        for (uint32_t k = 0; k < components; k++)
+            for (int i = 0; i < 4; i++) corner.x[i] += (k != 0 && signs >> (k - 1) & 1 ? -1.0f : 1.0f) * d[k][i];
+        float e = svoi_distance2(&corner, w, &zero);
+        if (e > worst) worst = e;
+    }
+    if (!(worst > 0)) return false;
+    for (uint32_t k = 0; k < components; k++) h[k] *= 2 / sqrtf(worst); /* whole edges */
+    return true;
+}
+
+static void fit_lattice(const svoi_lossy_state *s, const int32_t low[3], const int32_t high[3], const float h[3], float scale, svo_lattice *l)
+{
+    svo_channel_kind kind = s->t->kind;
+    *l = (svo_lattice){.n = {1, 1, 1}, .step = {1, 1, 1}};
+    for (uint32_t k = 0; k < svo_lattice_components(kind); k++) {
+        float edge = h[k] * scale;
+        l->step[k] = svoi_step_of(kind, svoi_step_code(kind, edge < 1 ? 1 : edge > 30000 ? 30000 : (uint32_t)edge));
+        int32_t range = high[k] - low[k], step = (int32_t)l->step[k], rest = range - 2 * (step / 2);
+        l->n[k] = rest > 0 ? 1 + (uint64_t)(rest + step - 1) / (uint64_t)step : 1;
+        l->low[k] = low[k] + (range - (int32_t)(l->n[k] - 1) * step) / 2;
+    }
+    svoi_lattice_width(l);
+}
+
+/* Error of all items, INFINITY when one is not within the bound. */
+static float lattice_cost(const svoi_lossy_state *s, const svo_lattice *l)
+{
+    float sum = 0;
+    for (uint32_t i = 0; i < s->items; i++) {
+        const svoi_item *it = &s->item[i];
+        uint32_t value = s->value[it->id], other = svo_lattice_point(s->t->kind, l, svoi_lattice_number(s->t->kind, l, value));
+        if (value == other) continue;
+        svoi_point p = svoi_point_of(s->t->kind, s->t->squares, other);
+        float d = svoi_distance2(&it->p, it->w, &p);
+        sum += svoi_cost(s->t, d) * it->count;
+        if (s->t->squares) {
+            p = svoi_point_of(s->t->kind, false, other);
+            d = svoi_distance2(&s->check[it->id], s->check_weights[it->id], &p);
+        }
+        if (!(d <= s->t->bound2)) return INFINITY;
+    }
+    return sum;
+}
+
+/* The scale at which a little more error is worth a little fewer bits: for an error that grows with the scale, bits
+ * falling by components / ln 2 for each e-fold. Corners are at 1, so the mean is about half of that (squares: a third). */
+static float best_scale(const svoi_lossy_state *s)
+{
+    float bits = (float)svo_lattice_components(s->t->kind) / 0.6931472f;
+    if (!(s->t->price > 0)) return INFINITY;
+    return s->t->squares ? sqrtf(bits / (2 * s->t->price * 0.33f)) : bits / (s->t->price * 0.5f);
+}
+
+void svoi_try_lattice(svoi_lossy_state *s, svoi_node *n)
+{
+    svo_channel_kind kind = s->t->kind;
+    uint32_t components = svo_lattice_components(kind), fixed = SVOI_HEADER_BITS + s->e->lattice_bits;
+    if ((float)fixed >= n->cost) return;
+    int32_t low[3] = {0}, high[3] = {0}, middle[3] = {0}, c[3];
+    for (uint32_t i = 0; i < s->items; i++) {
+        svo_lattice_split(kind, s->value[s->item[i].id], c);
+        for (uint32_t k = 0; k < components; k++) {
+            if (i == 0 || c[k] < low[k]) low[k] = c[k];
+            if (i == 0 || c[k] > high[k]) high[k] = c[k];
+        }
+    }
+    float h[3] = {1, 1, 1}, ch[3];
+    for (uint32_t k = 0; k < components; k++) middle[k] = (low[k] + high[k]) / 2;
+    float scale = 0, bound = sqrtf(s->t->bound2);
+    if (cell_shape(s, middle, false, h)) {
+        scale = s->t->squares ? INFINITY : bound;
+        if (s->t->squares && cell_shape(s, middle, true, ch))
+            for (uint32_t k = 0; k < components; k++) scale = fminf(scale, bound * ch[k] / h[k]);
+        scale = fminf(scale, best_scale(s));
+    }
+    if (!(scale < 1e6f)) scale = 1e6f;
+    for (int attempt = 0; attempt < 5; attempt++, scale = attempt == 4 ? 0 : scale * 0.85f) {
+        svo_lattice l;
+        fit_lattice(s, low, high, h, scale, &l);
+        float plain = (float)(SVOI_HEADER_BITS + whole_bytes(s->e->lattice_bits + s->length * l.bits));
+        float runs = (float)(SVOI_HEADER_BITS + whole_bytes(s->e->lattice_bits + s->length + s->runs * l.bits));
+        float bits = plain <= runs ? plain : runs;
+        if (bits >= n->cost || l.bits > 32) {
+            if (attempt < 4 && n->mode == SVOI_NONE && n->cost == INFINITY) continue;
+            return;
+        }
+        float error = lattice_cost(s, &l);
+        if (!(error < INFINITY)) continue;
+        if (bits + error < n->cost) {
+            take(n, bits + error, plain <= runs ? SVO_BLOCK_BOX : SVO_BLOCK_BOX_RUNS);
+            n->lattice = l;
+        }
+        return;
+    }
+}

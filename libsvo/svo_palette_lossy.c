@@ -1,0 +1,223 @@
+/* Blocks within a bound: each dyadic range gets the cheapest of several kinds, cost being bits plus the worth of the
+ * error; then the cheapest partition bottom-up. A range is not looked at when no kind could beat its halves. */
+#include <math.h>
+
+#include "svoi_lossy.h"
+
+static void *lossy_create(const svoi_encoder *e, const svo_allocator *a)
+{
+    svoi_lossy_state *s = svo_calloc(a, 1, sizeof *s);
+    if (s == NULL) return NULL;
+    s->e = e;
+    s->t = e->points;
+    s->table_bits = e->table_bits;
+    return s;
+}
+
+static void lossy_destroy(void *state, const svo_allocator *a) { svo_free(a, state, 1, sizeof(svoi_lossy_state)); }
+
+/* --- the superblock's values ------------------------------------------------------------------------------------- */
+
+static void know_value(svoi_lossy_state *s, uint32_t id, uint32_t value)
+{
+    const svoi_points *t = s->t;
+    s->value[id] = value;
+    s->point[id] = svoi_point_of(t->kind, t->squares, value);
+    s->weights[id] = svoi_weights_of(t->kind, t->squares, &s->point[id]);
+    s->check[id] = t->squares ? svoi_point_of(t->kind, false, value) : s->point[id];
+    s->check_weights[id] = t->squares ? svoi_weights_of(t->kind, false, &s->check[id]) : s->weights[id];
+    s->own[id] = svoi_table_index(s->e, value);
+    if (s->own[id] == SVOI_NO_INDEX && t->count != 0) s->own[id] = svoi_near(t, &s->near, s->point[id].x);
+    s->own_fits[id] = t->count != 0 && svoi_distance2(&s->check[id], s->check_weights[id], &t->check[s->own[id]]) <= t->bound2;
+}
+
+static void know_values(svoi_lossy_state *s, const uint32_t *v)
+{
+    s->v = v;
+    s->distinct = 0;
+    s->stamp++;
+    for (uint32_t i = 0; i < SVO_SUPERBLOCK; i++) {
+        if (i != 0 && v[i] == v[i - 1]) {
+            s->id[i] = s->id[i - 1];
+            continue;
+        }
+        uint32_t at = (v[i] * 2654435761u) >> 21;
+        while (s->slot[at].stamp == s->stamp && s->slot[at].key != v[i]) at = (at + 1) & (SVOI_SEEN - 1);
+        if (s->slot[at].stamp != s->stamp) {
+            s->slot[at].stamp = s->stamp;
+            s->slot[at].key = v[i];
+            s->slot[at].value = s->distinct;
+            know_value(s, s->distinct++, v[i]);
+        }
+        s->id[i] = (uint16_t)s->slot[at].value;
+    }
+}
+
+/* The different values and the runs of a block. */
+static void gather(svoi_lossy_state *s, uint32_t begin, uint32_t length)
+{
+    s->begin = begin, s->length = length, s->items = s->runs = 0;
+    s->marks++;
+    for (uint32_t i = begin; i < begin + length; i++) {
+        uint32_t id = s->id[i];
+        if (s->runs != 0 && s->run_id[s->runs - 1] == id) {
+            s->run_length[s->runs - 1]++;
+            s->item[s->row[id]].count += 1;
+            continue;
+        }
+        s->run_id[s->runs] = (uint16_t)id;
+        s->run_length[s->runs++] = 1;
+        if (s->mark[id] != s->marks) {
+            s->mark[id] = s->marks;
+            s->row[id] = (uint16_t)s->items;
+            s->item[s->items++] = (svoi_item){s->point[id], s->weights[id], 1, id};
+        } else {
+            s->item[s->row[id]].count += 1;
+        }
+    }
+}
+
+/* --- numbers ----------------------------------------------------------------------------------------------------- */
+
+static float item_error(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t q)
+{
+    const svoi_points *t = s->t;
+    float d = svoi_distance2(&it->p, it->w, &c->p[q]);
+    float bound = t->squares ? svoi_distance2(&s->check[it->id], s->check_weights[it->id], &c->check[q]) : d;
+    return bound <= t->bound2 ? svoi_cost(t, d) : INFINITY;
+}
+
+float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number)
+{
+    float sum = 0;
+    for (uint32_t i = 0; i < s->items; i++) {
+        const svoi_item *it = &s->item[i];
+        float best = INFINITY;
+        for (uint32_t q = 0; q < c->count; q++) {
+            float e = item_error(s, it, c, q);
+            if (e < best) best = e, s->label[it->id] = (uint8_t)q;
+        }
+        sum += best * it->count;
+    }
+    if (number != NULL)
+        for (uint32_t i = 0; i < s->length; i++) number[i] = s->label[s->id[s->begin + i]];
+    return sum;
+}
+
+float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number)
+{
+    uint32_t k = c->count;
+    for (uint32_t i = 0; i < s->items; i++) {
+        s->row[s->item[i].id] = (uint16_t)i;
+        for (uint32_t q = 0; q < k; q++) s->error[i][q] = item_error(s, &s->item[i], c, q);
+    }
+    float cost[SVOI_LOSSY_ENTRIES], least = 0;
+    uint32_t from = 0;
+    for (uint32_t q = 0; q < k; q++) cost[q] = INFINITY;
+    for (uint32_t r = 0; r < s->runs; r++) {
+        const float *error = s->error[s->row[s->run_id[r]]];
+        float times = s->run_length[r], change = least + (float)width, lowest = INFINITY;
+        uint64_t changed = 0;
+        uint32_t at = 0;
+        for (uint32_t q = 0; q < k; q++) {
+            bool new_run = change < cost[q];
+            changed |= (uint64_t)new_run << q;
+            cost[q] = (new_run ? change : cost[q]) + error[q] * times;
+            if (cost[q] < lowest) lowest = cost[q], at = q;
+        }
+        s->changed[r] = changed;
+        s->before[r] = (uint8_t)from;
+        least = lowest, from = at;
+    }
+    if (number == NULL || !(least < INFINITY)) return least;
+    uint32_t at = s->length;
+    for (uint32_t r = s->runs; r-- > 0;) {
+        for (uint32_t i = 0; i < s->run_length[r]; i++) number[--at] = from;
+        if (s->changed[r] >> from & 1) from = s->before[r];
+    }
+    return least;
+}
+
+/* --- the partition ----------------------------------------------------------------------------------------------- */
+
+/* Fill `n`, whose cost is what has to be beaten; false when nothing does. */
+static bool look(svoi_lossy_state *s, uint32_t begin, uint32_t length, svoi_node *n, float limit)
+{
+    n->cost = limit;
+    n->mode = SVOI_NONE;
+    gather(s, begin, length);
+    svoi_try_one(s, n);
+    if (s->items > 1 && n->cost > SVOI_HEADER_BITS + (float)length) {
+        svoi_try_palettes(s, n);
+        svoi_try_lines(s, n);
+    }
+    svoi_try_lattice(s, n);
+    svoi_try_raw(s, n);
+    return n->mode != SVOI_NONE;
+}
+
+static uint64_t lossy_choose(void *state, const uint32_t *v)
+{
+    svoi_lossy_state *s = state;
+    know_values(s, v);
+    float cost[SVOI_GRANULES];
+    uint32_t blocks[SVOI_GRANULES];
+    uint64_t map = ~(uint64_t)0;
+    for (uint32_t i = 0; i < SVOI_GRANULES; i++) {
+        look(s, i * SVO_GRANULE, SVO_GRANULE, &s->node[0][i], INFINITY);
+        cost[i] = s->node[0][i].cost;
+        blocks[i] = 1;
+    }
+    for (uint32_t k = 1; k < SVOI_LEVELS; k++)
+        for (uint32_t i = 0; i < (uint32_t)SVOI_GRANULES >> k; i++) {
+            uint32_t begin = i << k, granules = 1u << k;
+            svoi_node *n = &s->node[k][i];
+            cost[i] = cost[2 * i] + cost[2 * i + 1];
+            blocks[i] = blocks[2 * i] + blocks[2 * i + 1];
+            n->mode = SVOI_NONE;
+            if (blocks[i] > 6 || !look(s, begin * SVO_GRANULE, granules * SVO_GRANULE, n, cost[i])) continue;
+            cost[i] = n->cost;
+            blocks[i] = 1;
+            map &= ~((((uint64_t)1 << (granules - 1)) - 1) << (begin + 1));
+        }
+    return map;
+}
+
+static void lossy_block(void *state, uint32_t first, uint32_t end, svoi_block *out)
+{
+    svoi_lossy_state *s = state;
+    uint32_t level = (uint32_t)__builtin_ctz(end - first), width;
+    svoi_node *n = &s->node[level][first >> level];
+    gather(s, first * SVO_GRANULE, (end - first) * SVO_GRANULE);
+    if (n->mode == SVOI_NONE) look(s, first * SVO_GRANULE, (end - first) * SVO_GRANULE, n, INFINITY);
+    svoi_candidates c;
+    out->mode = n->mode;
+    out->entries = n->entries;
+    for (uint32_t i = 0; i < n->entries; i++) out->entry[i] = n->entry[i];
+    if (n->mode < SVO_BLOCK_RAW) return;
+    if (n->mode == SVO_BLOCK_RAW) {
+        for (uint32_t i = 0; i < s->length; i++) out->number[i] = s->own[s->id[s->begin + i]];
+    } else if (n->mode < SVO_BLOCK_LINE) {
+        out->lattice = n->lattice;
+        for (uint32_t i = 0; i < s->length; i++) out->number[i] = svoi_lattice_number(s->t->kind, &n->lattice, s->v[s->begin + i]);
+    } else if (n->mode < SVO_BLOCK_PALETTE) {
+        bool runs = n->mode >= SVO_BLOCK_LINE_RUNS;
+        width = n->mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
+        svoi_line_candidates(s, n, width, &c);
+        if (runs) svoi_runs_cost(s, &c, width, out->number);
+        else svoi_plain_cost(s, &c, out->number);
+    } else {
+        bool runs = n->mode >= SVO_BLOCK_PALETTE_RUNS;
+        width = n->mode - (runs ? SVO_BLOCK_PALETTE_RUNS - 2 : SVO_BLOCK_PALETTE - 1);
+        svoi_palette_candidates(s, n, &c);
+        if (runs) svoi_runs_cost(s, &c, width, out->number);
+        else svoi_plain_cost(s, &c, out->number);
+        if (!runs) { /* a palette ends with the largest number that occurs */
+            uint32_t most = 0;
+            for (uint32_t i = 0; i < s->length; i++) most = out->number[i] > most ? out->number[i] : most;
+            out->entries = most + 1;
+        }
+    }
+}
+
+const svoi_chooser svoi_lossy = {lossy_create, lossy_destroy, lossy_choose, lossy_block};

@@ -1,0 +1,77 @@
+/* Internal: the state of choosing blocks within a bound, for one worker. Not installed. */
+#ifndef SVOI_LOSSY_H
+#define SVOI_LOSSY_H
+
+#include "svoi_points.h"
+
+enum { SVOI_SEEN = 2048, SVOI_LOSSY_ENTRIES = 64, SVOI_NONE = 31 /* no mode */ };
+
+/* A different value of the block. */
+typedef struct svoi_item {
+    svoi_point p;
+    svoi_weights w;
+    float count; /* times it occurs in the block */
+    uint32_t id; /* of the superblock's different values */
+} svoi_item;
+
+/* The best way found to store a dyadic range. */
+typedef struct svoi_node {
+    float cost; /* bits, the header and the worth of the error included */
+    uint32_t mode, entries;
+    uint16_t entry[SVOI_LOSSY_ENTRIES];
+    svo_lattice lattice;
+} svoi_node;
+
+typedef struct svoi_lossy_state {
+    const svoi_encoder *e;
+    const svoi_points *t;
+    uint32_t table_bits;
+    /* the superblock */
+    const uint32_t *v;
+    uint32_t distinct;
+    uint16_t id[SVO_SUPERBLOCK]; /* of every value, in the arrays below */
+    uint32_t value[SVO_SUPERBLOCK], own[SVO_SUPERBLOCK]; /* own: a table entry that is near */
+    bool own_fits[SVO_SUPERBLOCK];                       /* within the bound */
+    svoi_point point[SVO_SUPERBLOCK], check[SVO_SUPERBLOCK];
+    svoi_weights weights[SVO_SUPERBLOCK], check_weights[SVO_SUPERBLOCK];
+    svoi_node node[SVOI_LEVELS][SVOI_GRANULES];
+    /* the block looked at */
+    uint32_t begin, length, items, runs;
+    svoi_item item[SVO_SUPERBLOCK];
+    uint16_t run_id[SVO_SUPERBLOCK], run_length[SVO_SUPERBLOCK];
+    uint16_t row[SVO_SUPERBLOCK];    /* of a value of the block in `error`; by id */
+    uint8_t label[SVO_SUPERBLOCK];   /* palette entry of a value of the block; by id */
+    uint32_t mark[SVO_SUPERBLOCK], marks; /* by id: in this block when equal to marks */
+    float error[SVO_SUPERBLOCK][SVOI_LOSSY_ENTRIES];
+    uint64_t changed[SVO_SUPERBLOCK]; /* of each run: bit q set when number q begins there */
+    uint8_t before[SVO_SUPERBLOCK];   /* of each run: the number that a change comes from */
+    uint32_t stamp;
+    struct { uint32_t stamp, key, value; } slot[SVOI_SEEN];
+    svoi_near_cache near;
+} svoi_lossy_state;
+
+/* Candidates that numbers stand for: palette entries, or points of a line. */
+typedef struct svoi_candidates {
+    uint32_t count;
+    svoi_point p[SVOI_LOSSY_ENTRIES], check[SVOI_LOSSY_ENTRIES];
+} svoi_candidates;
+
+static inline float svoi_cost(const svoi_points *t, float distance2) { return t->price * (t->squares ? distance2 : __builtin_sqrtf(distance2)); }
+
+/* svo_palette_kinds.c: each puts what is better than `n` into it. */
+void svoi_try_one(svoi_lossy_state *s, svoi_node *n);
+void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n);
+void svoi_try_lines(svoi_lossy_state *s, svoi_node *n);
+void svoi_try_lattice(svoi_lossy_state *s, svoi_node *n);
+void svoi_try_raw(svoi_lossy_state *s, svoi_node *n);
+
+/* Least cost of the block's values by runs of candidates, `width` bits a change; INFINITY when one has no candidate
+ * within the bound. With `number` not NULL the numbers of all values go there. */
+float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number);
+/* The same with a number for each value, each the best for itself; the bits of the numbers are not counted. */
+float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number);
+void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c);
+void svoi_line_candidates(const svoi_lossy_state *s, const svoi_node *n, uint32_t width, svoi_candidates *c);
+uint32_t svoi_lattice_number(svo_channel_kind kind, const svo_lattice *l, uint32_t value);
+
+#endif

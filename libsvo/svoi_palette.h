@@ -1,0 +1,75 @@
+/* Internal: choosing and writing blocks (svo_palette.h). Not installed. */
+#ifndef SVOI_PALETTE_H
+#define SVOI_PALETTE_H
+
+#include "svo_palette.h"
+
+enum {
+    SVOI_GRANULES = 64,     /* in a superblock */
+    SVOI_LEVELS = 7,        /* block sizes 16 << 0 .. 16 << 6 */
+    SVOI_HEADER_BITS = 16,  /* of a block */
+    SVOI_ENTRIES = 256,     /* of a palette, at most */
+    SVOI_REACH = 2047       /* a block's data begins at most here */
+};
+
+typedef struct svoi_bits { uint8_t *p; uint64_t bits; uint32_t held; } svoi_bits;
+
+static inline void svoi_put(svoi_bits *w, uint32_t value, uint32_t width)
+{
+    w->bits |= (uint64_t)value << w->held;
+    w->held += width;
+    while (w->held >= 8) {
+        *w->p++ = (uint8_t)w->bits;
+        w->bits >>= 8;
+        w->held -= 8;
+    }
+}
+
+static inline void svoi_put_end(svoi_bits *w)
+{
+    if (w->held != 0) *w->p++ = (uint8_t)w->bits;
+    w->bits = 0;
+    w->held = 0;
+}
+
+/* A block as it is to be written. `number` has one for each value, runs are found from it. */
+typedef struct svoi_block {
+    uint32_t mode, length;
+    uint32_t entry[SVOI_ENTRIES], entries; /* table indices */
+    svo_lattice lattice;
+    uint32_t number[SVO_SUPERBLOCK];
+} svoi_block;
+
+uint32_t svoi_step_of(svo_channel_kind kind, uint32_t code);
+uint32_t svoi_step_code(svo_channel_kind kind, uint32_t step); /* largest code whose step is not above */
+void svoi_lattice_width(svo_lattice *l);
+void svoi_put_lattice(svoi_bits *w, svo_channel_kind kind, const svo_lattice *l);
+
+/* What encoding a channel needs to know; read by all workers. */
+typedef struct svoi_encoder {
+    const svo_palette_job *job;
+    uint32_t table_bits, lattice_bits;
+    uint64_t *slots, slot_count; /* value << 32 | index + 1 */
+    struct svoi_points *points; /* only with a bound: svoi_points.h */
+} svoi_encoder;
+
+#define SVOI_NO_INDEX UINT32_MAX
+uint32_t svoi_table_index(const svoi_encoder *e, uint32_t value); /* SVOI_NO_INDEX: not in the table */
+
+/* A chooser: looks at 1024 values, gives the map of begins, then block by block what to write. */
+typedef struct svoi_chooser {
+    void *(*create)(const svoi_encoder *e, const svo_allocator *a);
+    void (*destroy)(void *state, const svo_allocator *a);
+    uint64_t (*choose)(void *state, const uint32_t *v);
+    void (*block)(void *state, uint32_t first_granule, uint32_t end_granule, svoi_block *out);
+} svoi_chooser;
+
+extern const svoi_chooser svoi_exact, svoi_lossy;
+
+svo_result svoi_lossy_prepare(svoi_encoder *e, svo_error *err);
+void svoi_lossy_release(svoi_encoder *e);
+
+/* Error of `other` for `value`: CIE94 or degrees, in double precision. */
+double svoi_error_of(svo_channel_kind kind, uint32_t value, uint32_t other);
+
+#endif
