@@ -4,6 +4,7 @@
 
 #include "fmt_container.h"
 #include "skel_build.h"
+#include "skel_skin.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,6 +25,15 @@ svo_result fmt_export_skel_obj(fmt_output *out, const skel_skeleton *s, svo_erro
 /* The curve as binary glTF 2.0: one mesh, one primitive of mode LINES with f32 positions (relative to the node's
  * translation, so that a large offset costs no precision), and one of mode POINTS for joints without bones. */
 svo_result fmt_export_skel_glb(fmt_output *out, const skel_skeleton *s, svo_error *err);
+
+/* The mesh with its skeleton as skinned binary glTF 2.0: joints are nodes joint_0, joint_1 ... in the trees of `tree` (each with its radius in extras) below
+ * one node "skeleton"; inverse bind matrices; JOINTS_0 and WEIGHTS_0 (and _1 for more than 4 influences). Instances are placed in the world. Normals,
+ * vertex colours and the materials' factors are kept, textures are not (a warning says so). SVO_LIMIT beyond 65535 joints, 4 GB or 32-bit floats. */
+svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, const skel_skin *weights,
+                                  svo_warnings *warnings, svo_error *err);
+
+/* The curve as SWC: number, type 0, x y z, radius, parent or -1. Bones that close a loop are left out and counted in a comment. */
+svo_result fmt_export_skel_swc(fmt_output *out, const skel_skeleton *s, const skel_tree *tree, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -19,7 +19,8 @@ typedef struct tool_options {
     bool has_omega;
     uint64_t max_iterations, max_vertices;
     int method, normalize, search, place;
-    const char *glb, *obj;
+    const char *glb, *obj, *swc;
+    uint64_t influences, smoothing;
     const char *bind, *bound, *solid, *reconstruct, *refine;
 } tool_options;
 
@@ -84,7 +85,8 @@ static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel
     return r;
 }
 
-static svo_result from_mesh(cli *c, const skel_options *o, skel_skeleton *out, json_t *inputs, svo_error *err)
+/* *mesh stays the caller's. */
+static svo_result from_mesh(cli *c, const skel_options *o, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
 {
     fmt_bytes bytes;
     char hash[33];
@@ -92,18 +94,15 @@ static svo_result from_mesh(cli *c, const skel_options *o, skel_skeleton *out, j
     fmt_hash_hex(bytes.data, bytes.size, hash);
     fmt_bytes_close(&bytes);
     json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hash));
-    svo_mesh mesh = {0};
     fmt_import_options import = {.allocator = o->allocator, .threads = (uint32_t)c->threads, .skip_images = true, .warnings = &c->warnings};
-    SVO_TRY(fmt_import_mesh(c->inputs[0], &import, &mesh, err));
-    svo_mesh_counts n = svo_mesh_count(&mesh);
+    SVO_TRY(fmt_import_mesh(c->inputs[0], &import, mesh, err));
+    svo_mesh_counts n = svo_mesh_count(mesh);
     json_t *input = cli_section(c, "input");
     cli_put_text(input, "kind", "mesh");
     cli_put_u64(input, "triangles", n.placed_triangles);
-    cli_put_u64(input, "instances", mesh.instance_count);
+    cli_put_u64(input, "instances", mesh->instance_count);
     cli_phase(c, NULL);
-    svo_result r = skel_build_mesh(&mesh, o, out, err);
-    svo_mesh_free(&mesh);
-    return r;
+    return skel_build_mesh(mesh, o, out, err);
 }
 
 static svo_result is_container(const char *path, bool *yes, svo_error *err)
@@ -118,12 +117,12 @@ static svo_result is_container(const char *path, bool *yes, svo_error *err)
     return r;
 }
 
-static svo_result build(cli *c, const skel_options *o, skel_skeleton *out, json_t *inputs, svo_error *err)
+static svo_result build(cli *c, const skel_options *o, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
 {
     const char *path = c->inputs[0];
     bool voxels = strcmp(path, "-") == 0; /* stdin is for our own formats */
     if (!voxels) SVO_TRY(is_container(path, &voxels, err));
-    if (!voxels) return from_mesh(c, o, out, inputs, err);
+    if (!voxels) return from_mesh(c, o, mesh, out, inputs, err);
     fmt_input *in;
     SVO_TRY(fmt_input_open(path, &in, err));
     svo_result r = from_voxels(c, in, o, out, inputs, err);
@@ -202,7 +201,7 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
 
 /* --- output ------------------------------------------------------------------------------------------------------- */
 
-typedef struct outputs { fmt_output *skel, *glb, *obj; } outputs;
+typedef struct outputs { fmt_output *skel, *glb, *obj, *swc; } outputs;
 
 /* All are opened before any work is done, so that a wrong path costs no time. */
 static svo_result open_all(const cli *c, const tool_options *o, outputs *out, svo_error *err)
@@ -210,6 +209,7 @@ static svo_result open_all(const cli *c, const tool_options *o, outputs *out, sv
     SVO_TRY(fmt_output_open(c->output, c->force, &out->skel, err));
     if (o->glb != NULL) SVO_TRY(fmt_output_open(o->glb, c->force, &out->glb, err));
     if (o->obj != NULL) SVO_TRY(fmt_output_open(o->obj, c->force, &out->obj, err));
+    if (o->swc != NULL) SVO_TRY(fmt_output_open(o->swc, c->force, &out->swc, err));
     return SVO_OK;
 }
 
@@ -220,14 +220,38 @@ static svo_result commit(fmt_output **out, svo_error *err)
     return o != NULL ? fmt_output_commit(o, err) : SVO_OK;
 }
 
-static svo_result write_all(outputs *out, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
+/* Of a mesh, the .glb is the mesh with its joints and weights; voxels have none, so it is the curve. */
+static svo_result write_glb(cli *c, const tool_options *o, fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, svo_error *err)
+{
+    if (s->report.source != SKEL_SOURCE_MESH) return fmt_export_skel_glb(out, s, err);
+    skel_skin skin;
+    const skel_skin_options k = {.influences = (uint32_t)o->influences, .smoothing = (uint32_t)o->smoothing, .allocator = s->allocator};
+    SVO_TRY(skel_skin_make(mesh, s, tree, &k, &skin, err));
+    svo_result r = fmt_export_skinned_glb(out, mesh, s, tree, &skin, &c->warnings, err);
+    json_t *output = cli_section(c, "output");
+    cli_put_u64(output, "skin_influences", skin.most);
+    skel_skin_free(&skin);
+    return r;
+}
+
+static svo_result write_all(cli *c, const tool_options *o, outputs *out, const svo_mesh *mesh, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
 {
     SVO_TRY(fmt_skel_write(out->skel, s, provenance, err));
-    if (out->glb != NULL) SVO_TRY(fmt_export_skel_glb(out->glb, s, err));
-    if (out->obj != NULL) SVO_TRY(fmt_export_skel_obj(out->obj, s, err));
+    skel_tree tree;
+    SVO_TRY(skel_tree_make(s, s->allocator, &tree, err));
+    json_t *output = cli_section(c, "output");
+    cli_put_u64(output, "roots", tree.root_count);
+    cli_put_u64(output, "bones_outside_trees", tree.loop_count);
+    svo_result r = SVO_OK;
+    if (out->glb != NULL) r = write_glb(c, o, out->glb, mesh, s, &tree, err);
+    if (r == SVO_OK && out->swc != NULL) r = fmt_export_skel_swc(out->swc, s, &tree, err);
+    skel_tree_free(&tree);
+    if (r == SVO_OK && out->obj != NULL) r = fmt_export_skel_obj(out->obj, s, err);
+    if (r != SVO_OK) return r;
     *bytes = fmt_output_offset(out->skel);
     SVO_TRY(commit(&out->glb, err));
     SVO_TRY(commit(&out->obj, err));
+    SVO_TRY(commit(&out->swc, err));
     return commit(&out->skel, err);
 }
 
@@ -240,11 +264,12 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     outputs out = {0};
     json_t *inputs = json_array();
     skel_skeleton s = {0};
+    svo_mesh mesh = {0};
     skel_options options = library_options(c, o, &limit.base);
     svo_result r = open_all(c, o, &out, err);
     if (r == SVO_OK) {
         cli_phase(c, "import");
-        r = cli_about(c->inputs[0], build(c, &options, &s, inputs, err), err);
+        r = cli_about(c->inputs[0], build(c, &options, &mesh, &s, inputs, err), err);
     }
     if (r == SVO_OK) {
         json_t *how = json_object();
@@ -257,15 +282,17 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         char *provenance = cli_provenance(c, how, json_incref(inputs));
         uint64_t bytes = 0;
         cli_phase(c, "write");
-        r = provenance == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory") : write_all(&out, &s, provenance, &bytes, err);
+        r = provenance == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory") : write_all(c, o, &out, &mesh, &s, provenance, &bytes, err);
         cli_phase(c, NULL);
         free(provenance);
         if (r == SVO_OK) report(c, &s, bytes);
     }
     skel_skeleton_free(&s);
+    svo_mesh_free(&mesh);
     fmt_output_discard(out.skel);
     fmt_output_discard(out.glb);
     fmt_output_discard(out.obj);
+    fmt_output_discard(out.swc);
     json_decref(inputs);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) r = svo_fail(err, SVO_LIMIT, "--memory is too small for this model and omega");
     return r;
@@ -273,7 +300,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000};
+    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8};
     cli_option options[] = {
         {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .seen = &o.has_omega,
          .no_default = true, .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.025 suits a figure with limbs."},
@@ -290,8 +317,14 @@ int main(int argc, char **argv)
         {.name = "search", .kind = CLI_CHOICE, .value = &o.search, .choices = searches, .argument = "S", .help = "Neighbour search; both give the same result."},
         {.name = "place", .kind = CLI_CHOICE, .value = &o.place, .choices = places, .argument = "P",
          .help = "Joints go to the centroid of the surface that belongs to them, or stay where they were contracted to."},
-        {.name = "glb", .kind = CLI_TEXT, .value = &o.glb, .argument = "OUT.glb", .no_default = true, .group = "Output", .help = "Write the curve as glTF lines too."},
+        {.name = "glb", .kind = CLI_TEXT, .value = &o.glb, .argument = "OUT.glb", .no_default = true, .group = "Output",
+         .help = "Write the mesh with joints and weights as skinned glTF too (of voxels: the curve as lines)."},
         {.name = "obj", .kind = CLI_TEXT, .value = &o.obj, .argument = "OUT.obj", .no_default = true, .group = "Output", .help = "Write the curve as OBJ lines too."},
+        {.name = "swc", .kind = CLI_TEXT, .value = &o.swc, .argument = "OUT.swc", .no_default = true, .group = "Output", .help = "Write the curve as trees with radii (SWC) too."},
+        {.name = "influences", .kind = CLI_U64, .value = &o.influences, .argument = "N", .min = 1, .max = SKEL_MAX_INFLUENCES, .group = "Output",
+         .help = "Joints that may move a vertex of the skinned .glb."},
+        {.name = "smoothing", .kind = CLI_U64, .value = &o.smoothing, .argument = "N", .max = 1000, .group = "Output",
+         .help = "Rounds in which a vertex's weights are averaged with its neighbours'."},
         {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Not available", .help = "Give voxels a bone channel."},
         {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Output of --bind."},
         {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Solid voxels from the contraction."},
@@ -315,8 +348,10 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
     if (!o.has_omega) return cli_usage(&c, "--omega is needed");
-    if (o.glb != NULL && o.obj != NULL && strcmp(o.glb, o.obj) == 0) return cli_usage(&c, "--glb and --obj name the same file");
-    if ((o.glb != NULL && strcmp(o.glb, c.output) == 0) || (o.obj != NULL && strcmp(o.obj, c.output) == 0)) return cli_usage(&c, "two outputs name the same file");
+    const char *const files[] = {c.output, o.glb, o.obj, o.swc};
+    for (int i = 0; i < 4; i++)
+        for (int k = 0; k < i; k++)
+            if (files[i] != NULL && files[k] != NULL && strcmp(files[i], files[k]) == 0) return cli_usage(&c, "two outputs name the same file, %s", files[i]);
     svo_error err = {0};
     svo_result r = run(&c, &o, &err);
     return cli_end(&c, r, &err);

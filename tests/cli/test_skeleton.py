@@ -71,10 +71,97 @@ def test_tube(folder):
     check(report["input"]["mapped"] == report["input"]["elements"] == 61 * 16 + 2, report["input"])
     check(all(math.hypot(p[1], p[2]) < 0.02 for p in points), points)
     check({"clean", "tessellate", "contract"} <= {p["name"] for p in report["phases"]}, report["phases"])
-    glb = (folder / "t.glb").read_bytes()
-    magic, version, size, json_size = struct.unpack("<4sIII", glb[:16])
-    check(magic == b"glTF" and version == 2 and size == len(glb), glb[:16])
-    gltf = json.loads(glb[20:20 + json_size])
+
+
+class Glb:
+    """A reader of its own: what glTF 2.0 says, nothing of ours."""
+
+    def __init__(self, path):
+        data = path.read_bytes()
+        magic, version, size, json_size, kind = struct.unpack("<4sIII4s", data[:20])
+        check(magic == b"glTF" and version == 2 and size == len(data) and kind == b"JSON", data[:20])
+        self.json = json.loads(data[20:20 + json_size])
+        bin_size, kind = struct.unpack("<I4s", data[20 + json_size:28 + json_size])
+        check(kind == b"BIN\0" and 28 + json_size + bin_size == size, kind)
+        self.bytes = data[28 + json_size:]
+
+    def read(self, accessor):
+        a = self.json["accessors"][accessor]
+        view = self.json["bufferViews"][a["bufferView"]]
+        n = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[a["type"]]
+        code = {5123: "H", 5125: "I", 5126: "f"}[a["componentType"]]
+        size = n * struct.calcsize(code)
+        check(view["byteLength"] == a["count"] * size, (a, view))
+        at = view["byteOffset"]
+        return [struct.unpack_from("<%d%s" % (n, code), self.bytes, at + i * size) for i in range(a["count"])]
+
+
+def world_translations(gltf):
+    """Of every node; nodes have translations alone."""
+    nodes, found = gltf["nodes"], {}
+
+    def walk(i, above):
+        here = [a + b for a, b in zip(above, nodes[i].get("translation", (0, 0, 0)))]
+        check(i not in found, "node %d has two parents" % i)
+        found[i] = here
+        for child in nodes[i].get("children", ()):
+            walk(child, here)
+
+    for root in gltf["scenes"][0]["nodes"]:
+        walk(root, (0, 0, 0))
+    return found
+
+
+def test_skinned_glb_and_swc(folder):
+    path = tube_obj(folder / "tube.obj")
+    # far away: 32-bit floats must not blur it
+    lines = ["v %.17g %s %s" % (float(w[1]) + 1e6, w[2], w[3]) if (w := line.split())[:1] == ["v"] else line for line in path.read_text().splitlines()]
+    path.write_text("\n".join(lines) + "\n")
+    for influences, sets in ((4, 1), (8, 2)):
+        run("svo-skeleton", path, "-o", folder / "t.skel", "--omega", 0.03, "--obj", folder / "t.obj", "--glb", folder / "t.glb", "--swc", folder / "t.swc", "-f",
+            "--influences", influences, "--report", folder / "r.json")
+        points, bones = curve(folder / "t.obj")
+        g = Glb(folder / "t.glb")
+        nodes, skin = g.json["nodes"], g.json["skins"][0]
+        world = world_translations(g.json)
+        check(len(world) == len(nodes) and len(skin["joints"]) == len(points), nodes)
+        for joint, node in enumerate(skin["joints"]):
+            check(math.dist(world[node], points[joint]) < 1e-6, (joint, world[node], points[joint]))
+        middle = nodes[0]["translation"]
+        parents = {c: i for i, n in enumerate(nodes) for c in n.get("children", ())}
+        number = {node: joint for joint, node in enumerate(skin["joints"])}
+        tree = {frozenset((number[c], number[p])) for c, p in parents.items() if p in number}
+        check(tree == {frozenset(b) for b in bones}, "the tree of a tube is all its bones")
+        bind = g.read(skin["inverseBindMatrices"])
+        primitive = g.json["meshes"][0]["primitives"][0]
+        attributes = primitive["attributes"]
+        check(len(g.read(primitive["indices"])) == 3 * (2 * 60 * 16 + 2 * 16), "triangles")
+        joint_sets = [g.read(attributes["JOINTS_%d" % s]) for s in range(sets)]
+        weight_sets = [g.read(attributes["WEIGHTS_%d" % s]) for s in range(sets)]
+        check("JOINTS_%d" % sets not in attributes, attributes)
+        obj = [tuple(float(x) - m for x, m in zip(w[1:], middle)) for w in map(str.split, path.read_text().splitlines()) if w[:1] == ["v"]]
+        most = 0
+        for v, p in enumerate(g.read(attributes["POSITION"])):
+            joints = sum((s[v] for s in joint_sets), ())
+            weights = sum((s[v] for s in weight_sets), ())
+            check(abs(sum(weights) - 1) <= 1e-6 and min(weights) >= 0, weights)
+            most = max(most, sum(w > 0 for w in weights))
+            # in the bind pose, the skinned position is the source's: sum of w * (world of joint) * (inverse bind) * p, here below the armature
+            q = [sum(w * (world[skin["joints"][j]][k] - middle[k] + bind[j][12 + k] + p[k]) for w, j in zip(weights, joints)) for k in range(3)]
+            check(min(math.dist(q, o) for o in obj) < 2e-6, (v, q))  # importers may number vertices as they like
+        check(support.report(folder / "r.json")["output"]["skin_influences"] == most <= influences, most)
+        rows = [line.split() for line in (folder / "t.swc").read_text().splitlines() if not line.startswith("#")]
+        check(len(rows) == len(points) and [int(r[0]) for r in rows] == list(range(1, len(rows) + 1)), rows[:3])
+        check(all(int(r[6]) < int(r[0]) and (int(r[6]) > 0 or int(r[6]) == -1) and float(r[5]) >= 0 for r in rows) and int(rows[0][6]) == -1, rows[:3])
+        check({tuple(map(float, r[2:5])) for r in rows} == set(points), rows[:3])
+
+
+def test_glb_of_voxels_is_the_curve(folder):
+    tube_obj(folder / "tube.obj")
+    run("svo-voxelize", folder / "tube.obj", "-o", folder / "t.svo", "--depth", 6, "--attributes", "none")
+    run("svo-skeleton", folder / "t.svo", "-o", folder / "t.skel", "--omega", 0.05, "--glb", folder / "t.glb", "--obj", folder / "t.obj")
+    points, bones = curve(folder / "t.obj")
+    gltf = Glb(folder / "t.glb").json
     lines = gltf["meshes"][0]["primitives"][0]
     check(lines["mode"] == 1 and gltf["accessors"][lines["indices"]]["count"] == 2 * len(bones), gltf)
 
