@@ -10,8 +10,6 @@ enum { MOST_VISITS = 1 << 20 }; /* (triangle, voxel) pairs of a chunk that are r
 
 static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing"); }
 
-static uint32_t block_levels(const svoi_run *r) { return r->info->depth < SVO_CHUNK_LEVELS ? r->info->depth : SVO_CHUNK_LEVELS; }
-
 /* --- a chunk's voxels ----------------------------------------------------------------------------------------- */
 
 /* Remember the voxels of a row for the passes to come; give up where memory or the limit does not allow it. */
@@ -117,6 +115,7 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     if (it->owner == NULL) {
         it->owner = r;
         svo_buffer_init(&it->list, r->allocator);
+        svo_buffer_init(&it->copy, r->allocator);
     }
     it->has_blob = false;
     it->blob = NULL;
@@ -125,6 +124,36 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     it->first = !r->started;
     r->started = true;
     return svo_bins_next(r->bins, &it->code, &it->list, more, err);
+}
+
+/* The sample of distances: in every chunk of a small octree (more of it where there are few chunks), in one of eight of a large one, and in
+ * the first; of units in one of four. */
+static void measure(svoi_scan *s, int32_t size)
+{
+    const svoi_run *r = s->r;
+    svoi_item *it = s->it;
+    const uint32_t depth = r->info->depth;
+    uint64_t choice = (it->code + 1) * 0x9e3779b97f4a7c15u >> 32;
+    bool always = it->first || (r->joins ? r->levels < 4 : depth <= 9);
+    if (!always && choice % (r->joins ? 4 : 8) != 0) return;
+    svo_block_distances(s->w->block, r->bins, &r->placement, &r->grid, (const uint32_t *)(const void *)it->list.data, it->list.size / 4, s->corner_axis, size,
+                        choice / 8, depth <= 8 && !r->joins ? 16 : 1, &it->distances);
+}
+
+/* A copy of the unit in the worker's hands, for the join. */
+static svo_result keep_unit(svoi_item *it, const svo_tree_info *info, const svo_chunk *unit, svo_error *err)
+{
+    it->unit = *unit;
+    it->copy.size = 0;
+    size_t bytes = (size_t)unit->node_count;
+    for (uint32_t c = 0; c < info->channel_count; c++)
+        if (!info->channels[c].constant) bytes += (size_t)unit->value_count * svo_channel_stride(info->channels[c].kind);
+    if (!svo_buffer_reserve(&it->copy, bytes)) return out_of_memory(err);
+    it->unit.masks = svo_buffer_append(&it->copy, unit->masks, (size_t)unit->node_count);
+    for (uint32_t c = 0; c < info->channel_count; c++)
+        if (!info->channels[c].constant)
+            it->unit.channels[c] = svo_buffer_append(&it->copy, unit->channels[c], (size_t)unit->value_count * svo_channel_stride(info->channels[c].kind));
+    return SVO_OK;
 }
 
 static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
@@ -146,10 +175,10 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
     svoi_scan s = {.r = r, .w = w, .it = it};
     uint32_t x, y, z;
     svo_morton_decode(it->code, &x, &y, &z);
-    s.corner_axis[0] = (int32_t)(x * SVO_RASTER_SIZE);
-    s.corner_axis[1] = (int32_t)(y * SVO_RASTER_SIZE);
-    s.corner_axis[2] = (int32_t)(z * SVO_RASTER_SIZE);
-    const uint32_t levels = block_levels(r);
+    const uint32_t levels = r->levels;
+    s.corner_axis[0] = (int32_t)(x << levels);
+    s.corner_axis[1] = (int32_t)(y << levels);
+    s.corner_axis[2] = (int32_t)(z << levels);
     const int32_t last = (1 << levels) - 1, box_lo[3] = {0, 0, 0}, box_hi[3] = {last, last, last};
     mark_voxels(&s, box_lo, box_hi);
     svo_result result = SVO_OK;
@@ -163,21 +192,16 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
             }
     if (result == SVO_OK && it->counts.nodes[7] != 0) {
         if (r->shader != NULL && r->info->channel_count != 0 && !svoi_shade_chunk(&s, box_lo, box_hi)) result = out_of_memory(err);
-        /* The sample: in every chunk of a small octree (more of it where there are few chunks), in one of eight of a large one, and in the
-         * first. */
-        uint64_t choice = (it->code + 1) * 0x9e3779b97f4a7c15u >> 32;
-        if (it->first || r->info->depth <= 9 || choice % 8 == 0)
-            svo_block_distances(w->block, r->bins, &r->placement, &r->grid, (const uint32_t *)(const void *)it->list.data, it->list.size / 4,
-                                s.corner_axis, last + 1, choice / 8, r->info->depth <= 8 ? 16 : 1, &it->distances);
+        measure(&s, last + 1);
         if (result == SVO_OK) {
-            /* A grid smaller than the block lies in its low corner: drop the nodes above. */
+            /* A unit smaller than the block lies in its low corner: drop the nodes above. */
             uint32_t skip = SVO_CHUNK_LEVELS - levels;
             svo_chunk chunk = {.code = it->code, .level = svo_chunk_level(r->info->depth), .depth = r->info->depth};
             chunk.masks = w->masks.data + skip;
             chunk.node_count = w->masks.size - skip;
             chunk.value_count = it->counts.nodes[7];
             for (uint32_t c = 0; c < r->info->channel_count; c++) chunk.channels[c] = s.channels[c];
-            result = r->sink->encode(r->sink->user, &chunk, number, &it->blob, err);
+            result = r->joins ? keep_unit(it, r->info, &chunk, err) : r->sink->encode(r->sink->user, &chunk, number, &it->blob, err);
             it->has_blob = result == SVO_OK;
         }
     }
@@ -195,15 +219,27 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     r->report->distance_mean += it->distances.sum; /* the sum until the end */
     if (it->distances.most > r->report->distance_max) r->report->distance_max = it->distances.most;
     svo_tree_counts *counts = &r->report->counts;
-    uint32_t level = svo_chunk_level(r->info->depth), levels = block_levels(r);
+    const uint32_t level = r->info->depth - r->levels;
     svo_counts_ancestors(counts, level, level, r->has_previous, r->previous, it->code);
     r->has_previous = true;
     r->previous = it->code;
-    counts->chunks++;
+    counts->chunks += !r->joins;
     counts->values += it->counts.nodes[7];
-    for (uint32_t i = 0; i <= levels; i++) counts->nodes[level + i] += it->counts.nodes[SVO_CHUNK_LEVELS - levels + i];
+    for (uint32_t i = 0; i <= r->levels; i++) counts->nodes[level + i] += it->counts.nodes[SVO_CHUNK_LEVELS - r->levels + i];
     it->has_blob = false;
-    return r->sink->commit(r->sink->user, it->blob, err);
+    return r->joins ? svoi_join_add(&r->join, r->info, it->code, &it->unit, err) : r->sink->commit(r->sink->user, it->blob, err);
+}
+
+/* The chunk that units were parts of. */
+static svo_result finish_join(svoi_run *r, svo_error *err)
+{
+    svo_chunk chunk;
+    void *blob;
+    if (r->join.used == 0) return SVO_OK;
+    SVO_TRY(svoi_join_chunk(&r->join, r->info, &chunk, err));
+    SVO_TRY(r->sink->encode(r->sink->user, &chunk, 0, &blob, err));
+    r->report->counts.chunks++;
+    return r->sink->commit(r->sink->user, blob, err);
 }
 
 static void destroy(void *user, void *slot)
@@ -211,8 +247,9 @@ static void destroy(void *user, void *slot)
     (void)user;
     svoi_item *it = slot;
     if (it->owner == NULL) return;
-    if (it->has_blob) it->owner->sink->discard(it->owner->sink->user, it->blob);
+    if (it->has_blob && !it->owner->joins) it->owner->sink->discard(it->owner->sink->user, it->blob);
     svo_buffer_free(&it->list);
+    svo_buffer_free(&it->copy);
 }
 
 /* Do some triangles need the shader to know which voxels exist? */
@@ -223,6 +260,8 @@ static bool mesh_masks(const svo_mesh *mesh)
     return false;
 }
 
+static uint64_t shifted(uint64_t code, uint32_t by) { return code > UINT64_MAX >> by ? UINT64_MAX : code << by; }
+
 static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, svo_error *err)
 {
     double started = svo_seconds();
@@ -232,8 +271,11 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     svo_bins_report bins;
     /* Half of what is allowed goes to snapped triangles; without room for them they are snapped again at every use. */
     uint64_t keep = o->memory == 0 ? UINT64_MAX : o->memory / 2;
-    SVO_TRY(svo_bins_create(&r->placement, &r->grid, svo_chunk_level(r->info->depth), keep, threads, r->allocator, &r->bins, &bins, err));
-    if (o->has_range) svo_bins_limit(r->bins, o->first_code, o->end_code);
+    r->levels = svoi_unit_levels(r->info->depth);
+    const uint32_t level = r->info->depth - r->levels, below = 3 * (level - svo_chunk_level(r->info->depth));
+    r->joins = below != 0;
+    SVO_TRY(svo_bins_create(&r->placement, &r->grid, level, keep, threads, r->allocator, &r->bins, &bins, err));
+    if (o->has_range) svo_bins_limit(r->bins, shifted(o->first_code, below), shifted(o->end_code, below));
     report->skipped_not_finite = bins.skipped;
     report->degenerate = bins.degenerate;
     uint64_t corners = 3 * (report->triangles - bins.skipped);
@@ -247,6 +289,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     started = svo_seconds();
     svo_pipeline p = {.threads = threads, .item_size = sizeof(svoi_item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
     svo_result result = svo_pipeline_run(&p, err);
+    if (result == SVO_OK && r->joins) result = finish_join(r, err);
     if (report->distance_samples != 0) report->distance_mean /= (double)report->distance_samples;
     report->seconds_voxels = svo_seconds() - started;
     return result;
@@ -272,6 +315,7 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     r->allocator = &limit.base;
     r->report = report;
     r->placement.mesh = mesh;
+    svoi_join_init(&r->join, r->allocator);
     r->grid.depth = info->depth;
     r->grid.size = info->voxel_to_world[0];
     for (int i = 0; i < 3; i++) r->grid.origin[i] = info->voxel_to_world[4 * i + 3];
@@ -294,6 +338,7 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_buffer_free(&w->starts);
         svo_free(r->allocator, w->block, 1, sizeof *w->block);
     }
+    svoi_join_free(&r->join);
     svo_shader_free(r->shader);
     svo_bins_free(r->bins);
     svo_placement_free(&r->placement);

@@ -19,6 +19,23 @@ typedef struct svoi_worker {
     svo_buffer visits, starts; /* packed voxels that each triangle meets (uint32_t), and where each triangle's begin */
 } svoi_worker;
 
+/* One chunk that is made of up to 64 units, which come in ascending Morton order. */
+enum { SVOI_JOIN_LEVELS = 2, SVOI_JOIN_UNITS = 64 };
+typedef struct svoi_join {
+    uint64_t used; /* bit: unit */
+    size_t start[SVOI_JOIN_UNITS + 1]; /* of a used unit's masks; the next one's is its end */
+    uint64_t value_count;
+    svo_buffer masks, chunk, channels[SVO_MAX_CHANNELS];
+} svoi_join;
+
+/* Levels below the root of a unit: a chunk, or a part of the only chunk of a small octree. */
+uint32_t svoi_unit_levels(uint32_t depth);
+void svoi_join_init(svoi_join *j, const svo_allocator *a);
+void svoi_join_free(svoi_join *j);
+svo_result svoi_join_add(svoi_join *j, const svo_tree_info *info, uint64_t code, const svo_chunk *unit, svo_error *err);
+/* The chunk; it lives as long as the join. */
+svo_result svoi_join_chunk(svoi_join *j, const svo_tree_info *info, svo_chunk *out, svo_error *err);
+
 typedef struct svoi_run {
     const svo_tree_info *info;
     const svo_chunk_sink *sink;
@@ -32,12 +49,17 @@ typedef struct svoi_run {
     svoi_worker workers[SVOI_MAX_WORKERS];
     bool started, has_previous;
     uint64_t previous;
+    uint32_t levels; /* of a unit */
+    bool joins;      /* units are parts of one chunk */
+    svoi_join join;
 } svoi_run;
 
-/* One chunk on its way through the pipeline. */
+/* One unit on its way through the pipeline. */
 typedef struct svoi_item {
     uint64_t code;
     svo_buffer list; /* uint32_t triangle numbers */
+    svo_buffer copy; /* masks and values of a unit that waits to be joined */
+    svo_chunk unit;  /* points into copy */
     void *blob;
     bool has_blob, first;
     svo_block_counts counts;
