@@ -54,12 +54,19 @@ static void average_level(svo_pyramid *p, uint32_t to)
         }
 }
 
+void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out)
+{
+    *out = (svo_pyramid){.image = image, .kind = kind, .levels = 1};
+    for (int i = 0; i < 256; i++) out->linear[i] = svo_srgb_to_linear((uint8_t)i);
+    out->width[0] = image->width;
+    out->height[0] = image->height;
+}
+
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err)
 {
-    svo_pyramid p = {.image = image, .kind = kind, .allocator = a, .levels = 1};
-    for (int i = 0; i < 256; i++) p.linear[i] = svo_srgb_to_linear((uint8_t)i);
-    p.width[0] = image->width;
-    p.height[0] = image->height;
+    svo_pyramid p;
+    svo_pyramid_finest(image, kind, &p);
+    p.allocator = a;
     while (p.width[p.levels - 1] > 1 || p.height[p.levels - 1] > 1) {
         uint32_t l = p.levels++;
         p.width[l] = p.width[l - 1] > 1 ? p.width[l - 1] / 2 : 1;

@@ -33,6 +33,8 @@ typedef struct svo_pyramid {
 /* The image is borrowed. SVO_OUT_OF_MEMORY. */
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err);
 void svo_pyramid_free(svo_pyramid *p);
+/* The image alone, with no levels above it: nothing is allocated, nothing needs to be freed. */
+void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out);
 
 /* Bilinear in the level, linear between levels; level <= 0 is the image itself, read to the nearest texel where the
  * texture says so. u, v as in svo_mesh.h (wrapped here; not finite reads as 0). out: linear RGBA, colours premultiplied for COLOR_ALPHA. */

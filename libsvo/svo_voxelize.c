@@ -116,10 +116,12 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
         it->owner = r;
         svo_buffer_init(&it->list, r->allocator);
         svo_buffer_init(&it->copy, r->allocator);
+        svoi_samples_init(&it->samples, r->allocator);
     }
     it->has_blob = false;
     it->blob = NULL;
     it->masked = 0;
+    it->samples.list.size = it->samples.triangles.size = 0;
     it->distances = (svo_distances){0};
     it->first = !r->started;
     r->started = true;
@@ -193,6 +195,7 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
     if (result == SVO_OK && it->counts.nodes[7] != 0) {
         if (r->shader != NULL && r->info->channel_count != 0 && !svoi_shade_chunk(&s, box_lo, box_hi)) result = out_of_memory(err);
         measure(&s, last + 1);
+        if (result == SVO_OK && r->sample_count != 0 && r->shader != NULL) svoi_samples_take(&s, box_lo, box_hi);
         if (result == SVO_OK) {
             /* A unit smaller than the block lies in its low corner: drop the nodes above. */
             uint32_t skip = SVO_CHUNK_LEVELS - levels;
@@ -215,6 +218,7 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     svoi_item *it = slot;
     r->report->masked_voxels += it->masked;
     if (!it->has_blob) return SVO_OK;
+    svoi_samples_merge(r, &it->samples);
     r->report->distance_samples += it->distances.count;
     r->report->distance_mean += it->distances.sum; /* the sum until the end */
     if (it->distances.most > r->report->distance_max) r->report->distance_max = it->distances.most;
@@ -250,6 +254,7 @@ static void destroy(void *user, void *slot)
     if (it->has_blob && !it->owner->joins) it->owner->sink->discard(it->owner->sink->user, it->blob);
     svo_buffer_free(&it->list);
     svo_buffer_free(&it->copy);
+    svoi_samples_free(&it->samples);
 }
 
 /* Do some triangles need the shader to know which voxels exist? */
@@ -292,6 +297,10 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     if (result == SVO_OK && r->joins) result = finish_join(r, err);
     if (report->distance_samples != 0) report->distance_mean /= (double)report->distance_samples;
     report->seconds_voxels = svo_seconds() - started;
+    if (result != SVO_OK || r->sample_count == 0) return result;
+    started = svo_seconds();
+    result = svoi_samples_measure(r, threads, err);
+    report->seconds_reference = svo_seconds() - started;
     return result;
 }
 
@@ -314,6 +323,9 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     r->sink = sink;
     r->allocator = &limit.base;
     r->report = report;
+    r->sample_count = options->reference_voxels;
+    r->sample_limit = UINT64_MAX;
+    svoi_samples_init(&r->samples, r->allocator);
     r->placement.mesh = mesh;
     svoi_join_init(&r->join, r->allocator);
     r->grid.depth = info->depth;
@@ -339,6 +351,7 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_free(r->allocator, w->block, 1, sizeof *w->block);
     }
     svoi_join_free(&r->join);
+    svoi_samples_free(&r->samples);
     svo_shader_free(r->shader);
     svo_bins_free(r->bins);
     svo_placement_free(&r->placement);

@@ -29,12 +29,23 @@ typedef struct svo_voxelize_options {
      * report says of triangles is of the whole mesh, what it says of voxels of the range. */
     bool has_range;
     uint64_t first_code, end_code;
+    /* Voxels whose attributes are compared with dense samples of the surface inside them; 0 = none. A fixed choice, whatever the threads. */
+    uint32_t reference_voxels;
     const svo_allocator *allocator;
     svo_warnings *warnings; /* may be NULL */
 } svo_voxelize_options;
 
 /* Zero-filled options with depth 10, conservative surface, automatic channels. */
 svo_voxelize_options svo_default_voxelize_options(void);
+
+#define SVO_REFERENCE_POINTS 4096 /* samples of a voxel that is compared with the reference */
+
+/* Of one channel, over the voxels where it can be told: CIE94 units of colours, degrees of normals, the share of voxels with another id,
+ * and fractions of the whole range of the rest. */
+typedef struct svo_channel_error {
+    uint64_t voxels;
+    double mean, max;
+} svo_channel_error;
 
 /* Measured, not assumed; lengths in voxels unless they say otherwise. */
 typedef struct svo_voxelize_report {
@@ -47,7 +58,9 @@ typedef struct svo_voxelize_report {
     uint64_t distance_samples;
     svo_tree_counts counts;
     uint64_t peak_bytes;          /* of memory charged to `memory` */
-    double seconds_setup, seconds_voxels;
+    svo_channel_error attribute_errors[SVO_MAX_CHANNELS]; /* in the order of the info's channels; SVO_REFERENCE_POINTS a voxel */
+    uint64_t reference_voxels;                            /* that were compared */
+    double seconds_setup, seconds_voxels, seconds_reference;
 } svo_voxelize_report;
 
 /* The grid, the snap lattice and the channels that svo_voxelize will use for this mesh: call it first, hand the info to

@@ -33,9 +33,7 @@ bool svoi_visible(svoi_scan *s, const int32_t cell[3])
 
 /* --- a chunk's attributes ------------------------------------------------------------------------------------- */
 
-/* A function of a voxel that the triangle in hand meets and that exists. */
-typedef void (*voxel_fn)(svoi_scan *s, uint32_t voxel, uint32_t code);
-typedef struct row_visitor { svoi_scan *s; voxel_fn fn; } row_visitor;
+typedef struct row_visitor { svoi_scan *s; svoi_voxel_fn fn; } row_visitor;
 
 static void visit_row(void *user, const svo_raster_row *row)
 {
@@ -50,7 +48,7 @@ static void visit_row(void *user, const svo_raster_row *row)
     }
 }
 
-static inline void visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], voxel_fn fn)
+static inline void visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], svoi_voxel_fn fn)
 {
     if (!s->recording) {
         const svo_raster_target cube = svo_raster_cube();
@@ -64,6 +62,11 @@ static inline void visit_voxels(svoi_scan *s, uint64_t i, const svo_record *reco
         uint32_t code = svoi_code_of(b, visits[at]);
         if (b->bricks[code >> 6] >> (code & 63) & 1) fn(s, visits[at], code);
     }
+}
+
+void svoi_visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], svoi_voxel_fn fn)
+{
+    visit_voxels(s, i, record, box_lo, box_hi, fn);
 }
 
 /* Piece number `at` of the batch. */

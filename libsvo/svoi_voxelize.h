@@ -9,6 +9,7 @@
 #include "svo_raster.h"
 #include "svo_shade.h"
 #include "svo_voxelize.h"
+#include "svoi_reference.h"
 
 enum { SVOI_MAX_WORKERS = 256 };
 
@@ -35,6 +36,10 @@ void svoi_join_free(svoi_join *j);
 svo_result svoi_join_add(svoi_join *j, const svo_tree_info *info, uint64_t code, const svo_chunk *unit, svo_error *err);
 /* The chunk; it lives as long as the join. */
 svo_result svoi_join_chunk(svoi_join *j, const svo_tree_info *info, svo_chunk *out, svo_error *err);
+/* Voxels that are compared with a reference in the end: those whose codes have the smallest hashes. */
+typedef struct svoi_samples {
+    svo_buffer list, triangles; /* svoi_sample; uint32_t */
+} svoi_samples;
 
 typedef struct svoi_run {
     const svo_tree_info *info;
@@ -52,6 +57,9 @@ typedef struct svoi_run {
     uint32_t levels; /* of a unit */
     bool joins;      /* units are parts of one chunk */
     svoi_join join;
+    svoi_samples samples;
+    uint32_t sample_count; /* kept at most; 0: none are taken */
+    uint64_t sample_limit; /* hashes that are not below it need not be looked at; atomic */
 } svoi_run;
 
 /* One unit on its way through the pipeline. */
@@ -65,6 +73,7 @@ typedef struct svoi_item {
     svo_block_counts counts;
     uint64_t masked;
     svo_distances distances; /* of one small cube in it, chosen by its code */
+    svoi_samples samples;
     svoi_run *owner; /* set once the slot has been used */
 } svoi_item;
 
@@ -90,6 +99,10 @@ typedef struct svoi_scan {
     uint8_t *channels[SVO_MAX_CHANNELS];
     uint32_t written[SVO_MAX_CHANNELS], written_count, stride[SVO_MAX_CHANNELS]; /* channels that are averaged */
     uint64_t *sums;
+    uint32_t triangle;   /* number in the placement */
+    svoi_sample *sample; /* while samples are taken: those of the chunk by code, and how many */
+    uint32_t sample_count;
+    uint64_t sample_bricks[512]; /* bit i of word j: brick 64 j + i holds one */
 } svoi_scan;
 
 /* A voxel of the block in 32 bits. */
@@ -109,5 +122,18 @@ bool svoi_visible(svoi_scan *s, const int32_t cell[3]);
 
 /* Give the voxels of the worker's block (after svo_block_emit) their values, in s->channels. False when out of memory. */
 bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3]);
+
+/* A function of a voxel that the triangle in hand meets and that exists. */
+typedef void (*svoi_voxel_fn)(svoi_scan *s, uint32_t voxel, uint32_t code);
+/* Call it for triangle number i of the chunk's list. */
+void svoi_visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], svoi_voxel_fn fn);
+
+/* Samples of the chunk in hand, from its values (s->channels); then, in the order of chunks, with those of all before it. Both give
+ * up silently when out of memory: then fewer voxels are compared. */
+void svoi_samples_init(svoi_samples *s, const svo_allocator *a);
+void svoi_samples_free(svoi_samples *s);
+void svoi_samples_take(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3]);
+void svoi_samples_merge(svoi_run *r, const svoi_samples *more);
+svo_result svoi_samples_measure(svoi_run *r, uint32_t threads, svo_error *err);
 
 #endif

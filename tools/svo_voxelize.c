@@ -25,6 +25,7 @@ typedef struct tool_options {
     uint32_t channels;
     const char *shard, *depfile;
     uint32_t shard_index, shard_count; /* 0 = not sharded */
+    uint64_t reference;                /* voxels */
     bool key;
 } tool_options;
 
@@ -71,6 +72,30 @@ static void report_input(cli *c, const svo_mesh *mesh)
     cli_put_u64(o, "bytes", n.bytes);
 }
 
+/* Against dense samples of the surface. */
+static void report_attributes(json_t *errors, const svo_tree_info *info, const svo_voxelize_report *v)
+{
+    if (v->reference_voxels == 0) return;
+    json_t *o = json_object(), *channels = json_array();
+    cli_put_u64(o, "voxels", v->reference_voxels);
+    cli_put_u64(o, "samples_per_voxel", SVO_REFERENCE_POINTS);
+    for (uint32_t i = 0; i < info->channel_count; i++) {
+        const svo_channel_error *e = &v->attribute_errors[i];
+        if (info->channels[i].constant) continue;
+        json_t *channel = json_object();
+        const uint32_t kind = info->channels[i].kind;
+        cli_put_text(channel, "name", info->channels[i].name);
+        cli_put_text(channel, "unit", kind == SVO_KIND_COLOR_SRGB8 ? "delta E (CIE94)" : kind == SVO_KIND_NORMAL_OCT32 ? "degrees" :
+                                      kind == SVO_KIND_UNORM8 ? "of the range 0..1" : "share of voxels");
+        cli_put_u64(channel, "voxels", e->voxels);
+        cli_put_f64(channel, "mean", e->mean);
+        cli_put_f64(channel, "max", e->max);
+        json_array_append_new(channels, channel);
+    }
+    json_object_set_new(o, "channels", channels);
+    json_object_set_new(errors, "attributes", o);
+}
+
 static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_report *v, uint64_t bytes)
 {
     json_t *o = cli_section(c, "output"), *levels = json_array(), *channels = json_array();
@@ -109,6 +134,7 @@ static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_
     cli_put_f64(e, "centre_to_surface_mean", v->distance_mean);
     cli_put_f64(e, "centre_to_surface_max", v->distance_max);
     cli_put_u64(e, "centre_to_surface_samples", v->distance_samples);
+    report_attributes(e, info, v);
     cli_put_u64(e, "triangles_not_finite", v->skipped_not_finite);
     cli_put_u64(e, "triangles_degenerate", v->degenerate);
 }
@@ -168,6 +194,7 @@ static svo_result plan(cli *c, const tool_options *o, const svo_mesh *mesh, svo_
     v->fill = (svo_fill)o->fill;
     v->channels = o->channels;
     v->threads = (uint32_t)c->threads;
+    v->reference_voxels = c->report != NULL ? (uint32_t)o->reference : 0;
     v->allocator = &limit->base;
     v->warnings = &c->warnings;
     if (c->memory != 0) {
@@ -208,6 +235,11 @@ static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh
         cli_phase(c, "voxelize");
         svo_chunk_sink sink = fmt_svo_writer_sink(writer);
         r = svo_voxelize(mesh, &j->options, &j->info, &sink, &report, err);
+    }
+    if (r == SVO_OK && j->options.reference_voxels != 0) { /* it was the end of the phase */
+        c->phase_started += report.seconds_reference;
+        cli_phase(c, "reference");
+        c->phase_started -= report.seconds_reference;
     }
     uint64_t bytes = 0;
     if (r == SVO_OK) {
@@ -267,7 +299,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.depth = 10, .attributes = "auto", .level = 3};
+    tool_options o = {.depth = 10, .attributes = "auto", .level = 3, .reference = 2048};
     cli_option options[] = {
         {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth, .no_default = true,
          .help = "The longest side of the bounding box becomes 2^D voxels."},
@@ -279,6 +311,8 @@ int main(int argc, char **argv)
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
          .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material."},
         {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level of the file (zstd)."},
+        {.name = "reference", .kind = CLI_U64, .value = &o.reference, .argument = "N", .max = 1000000,
+         .help = "With --report: voxels whose attributes are compared with 4096 samples each of the surface inside them."},
         {.name = "shard", .kind = CLI_TEXT, .value = &o.shard, .argument = "i/N", .no_default = true,
          .help = "Make only part i of N (1..N) of the octree, to be joined by svo-merge; auto takes i and N from a Slurm job array."},
         {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true,

@@ -12,6 +12,13 @@ def test_cube_shell_and_report(folder):
     support.cube_obj(folder / "cube.obj", color=(1, 0.5, 0))
     run("svo-voxelize", folder / "cube.obj", "-o", folder / "a.svo", "--depth", 5, "--report", folder / "r.json")
     r = report(folder / "r.json")
+    attributes = r["errors"]["attributes"]
+    normal = attributes["channels"][0]
+    check(normal["name"] == "normal" and normal["unit"] == "degrees" and 0 < normal["voxels"] <= attributes["voxels"] <= 2048, "attributes were compared")
+    check(normal["mean"] < 1 and attributes["samples_per_voxel"] == 4096, "normals of a cube: %r" % normal)
+    check("reference" in [p["name"] for p in r["phases"]], "the comparison is a phase of its own")
+    run("svo-voxelize", folder / "cube.obj", "-o", folder / "a.svo", "--force", "--depth", 5, "--reference", 0, "--report", folder / "n.json")
+    check("attributes" not in report(folder / "n.json")["errors"], "--reference 0 compares nothing")
     check(r["tool"] == "svo-voxelize" and r["output"]["voxels"] == 32**3 - 30**3, r["output"])
     check(r["output"]["bytes"] == (folder / "a.svo").stat().st_size, r["output"])
     check(r["output"]["levels"][0] == {"level": 0, "nodes": 1} and r["output"]["levels"][5]["nodes"] == r["output"]["voxels"], r["output"])
