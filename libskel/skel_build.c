@@ -35,6 +35,8 @@ void skel_skeleton_free(skel_skeleton *s)
     svo_free(s->allocator, s->joints, s->joint_count, sizeof *s->joints);
     svo_free(s->allocator, s->bones, s->bone_count, sizeof *s->bones);
     svo_free(s->allocator, s->map, s->map_count, sizeof *s->map);
+    svo_free(s->allocator, s->samples, 3 * s->sample_count, sizeof *s->samples);
+    svo_free(s->allocator, s->sample_joint, s->sample_count, sizeof *s->sample_joint);
     memset(s, 0, sizeof *s);
 }
 
@@ -45,6 +47,19 @@ static void warn_about(const skel_report *r, svo_warnings *w)
     if (!r->converged)
         svo_warn(w, "the contraction did not converge in %llu sweeps (largest movement %.3g omega, thinness error %.3g %%); the skeleton may have false loops",
                  (unsigned long long)r->iterations, r->final_movement_max / r->omega, r->thinness_error);
+}
+
+static svo_result keep_samples(const skeli_soup *mesh, const uint32_t *joint_of, skel_skeleton *out, svo_error *err)
+{
+    const skel_report *r = &out->report;
+    uint64_t n = mesh->vertex_count;
+    out->sample_count = n;
+    out->samples = svo_alloc(out->allocator, 3 * n, sizeof *out->samples);
+    out->sample_joint = svo_alloc(out->allocator, n, sizeof *out->sample_joint);
+    if (out->samples == NULL || out->sample_joint == NULL) return skeli_no_memory(err);
+    memcpy(out->sample_joint, joint_of, n * sizeof *joint_of);
+    for (uint64_t i = 0; i < 3 * n; i++) out->samples[i] = r->centre[i % 3] + r->unit * ((double)mesh->position[i] / SKEL_LATTICE);
+    return SVO_OK;
 }
 
 static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
@@ -72,6 +87,7 @@ static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t po
     skeli_phase(r, "extract", &since);
     SVO_TRY(skeli_measure(pool, &mesh, joint_of, out, err));
     skeli_phase(r, "measure", &since);
+    if (o->keep_samples) SVO_TRY(keep_samples(&mesh, joint_of, out, err));
     out->map = svo_alloc(out->allocator, points, sizeof *out->map);
     if (out->map == NULL) return skeli_no_memory(err);
     out->map_count = r->input_count = points;

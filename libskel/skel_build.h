@@ -46,6 +46,7 @@ typedef struct skel_options {
     skel_search search;
     skel_place place;
     uint32_t threads; /* 0 = all; no influence on the result */
+    bool keep_samples; /* fill `samples` of the skeleton, which skel_bind.h needs */
     svo_warnings *warnings;
     /* Called now and then with 0..1; may be NULL. Returning false cancels (SVO_CANCELLED). */
     bool (*progress)(void *user, double fraction);
@@ -110,6 +111,10 @@ typedef struct skel_skeleton {
      * twice). Voxels are counted in Morton order of the finest level. */
     uint64_t map_count;
     uint32_t *map;
+    /* With keep_samples: the vertices of the tessellated mesh (no edge of which is longer than omega), in the mesh's coordinates, and their joints. */
+    uint64_t sample_count;
+    double *samples; /* 3 each */
+    uint32_t *sample_joint;
     skel_report report;
 } skel_skeleton;
 

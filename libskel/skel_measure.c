@@ -55,8 +55,7 @@ void skel_components(const skel_skeleton *s, skel_component *out)
 
 /* --- distance of the surface -------------------------------------------------------------------------------------- */
 
-/* Distance of p from the segment a b, and where its foot lies (0 at a, 1 at b). */
-static double segment_distance(const double *p, const double *a, const double *b, double *foot)
+double skeli_segment_distance(const double *p, const double *a, const double *b, double *foot)
 {
     double ab[3], ap[3], along = 0, length2 = 0;
     for (int k = 0; k < 3; k++) {
@@ -100,11 +99,11 @@ static svo_result neighbours_make(skeli_pool *pool, const skel_skeleton *s, neig
 static double curve_distance(const skel_skeleton *s, const neighbours *n, uint32_t joint, const double *p, uint32_t *other, double *foot)
 {
     const double *a = s->joints[joint].position;
-    double best = segment_distance(p, a, a, foot);
+    double best = skeli_segment_distance(p, a, a, foot);
     *other = joint;
     *foot = 0;
     for (uint32_t k = n->start[joint]; k < n->start[joint + 1]; k++) {
-        double t, d = segment_distance(p, a, s->joints[n->joint[k]].position, &t);
+        double t, d = skeli_segment_distance(p, a, s->joints[n->joint[k]].position, &t);
         if (d >= best) continue;
         best = d;
         *other = n->joint[k];

@@ -108,6 +108,8 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
 /* Joints, bones, radii, measures; joint_of (vertices of the mesh) gets the map. Fills out but for its map. */
 svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *state, const skel_options *options,
                          skel_skeleton *out, uint32_t *joint_of, svo_error *err);
+/* Distance of p from the segment a b, and where its foot lies (0 at a, 1 at b). */
+double skeli_segment_distance(const double *p, const double *a, const double *b, double *foot);
 /* Distances of the surface to the curve, radii of the joints. */
 svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_t *joint_of, skel_skeleton *out, svo_error *err);
 /* Components (numbered by first joint), ends, branches, loops into report and joints. parent: scratch of joint_count. */

@@ -6,6 +6,7 @@
 #include "fmt_import.h"
 #include "fmt_skel.h"
 #include "fmt_svo.h"
+#include "skel_bind.h"
 
 static const char *const methods[] = {"fast", "literal", NULL};
 static const char *const normalizations[] = {"ball", "box", NULL};
@@ -27,11 +28,10 @@ typedef struct tool_options {
 /* What the command line of the tool is to have, but this version does not do. */
 static const char *unavailable(const tool_options *o)
 {
-    return o->bind != NULL || o->bound != NULL ? "--bind and --bound (a bone channel for voxels)"
-           : o->solid != NULL                  ? "--solid (solid voxels from the contraction)"
-           : o->reconstruct != NULL            ? "--reconstruct (a closed mesh from the skeleton)"
-           : o->refine != NULL                 ? "--refine (other feature sizes for some bones)"
-                                               : NULL;
+    return o->solid != NULL         ? "--solid (solid voxels from the contraction)"
+           : o->reconstruct != NULL ? "--reconstruct (a closed mesh from the skeleton)"
+           : o->refine != NULL      ? "--refine (other feature sizes for some bones)"
+                                    : NULL;
 }
 
 static bool progress(void *user, double fraction)
@@ -53,6 +53,7 @@ static skel_options library_options(cli *c, const tool_options *o, const svo_all
     s.search = (skel_search)o->search;
     s.place = (skel_place)o->place;
     s.threads = (uint32_t)c->threads;
+    s.keep_samples = o->bind != NULL;
     s.warnings = &c->warnings;
     s.progress = progress;
     s.user = c;
@@ -201,7 +202,7 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
 
 /* --- output ------------------------------------------------------------------------------------------------------- */
 
-typedef struct outputs { fmt_output *skel, *glb, *obj, *swc; } outputs;
+typedef struct outputs { fmt_output *skel, *glb, *obj, *swc, *bound; } outputs;
 
 /* All are opened before any work is done, so that a wrong path costs no time. */
 static svo_result open_all(const cli *c, const tool_options *o, outputs *out, svo_error *err)
@@ -210,6 +211,7 @@ static svo_result open_all(const cli *c, const tool_options *o, outputs *out, sv
     if (o->glb != NULL) SVO_TRY(fmt_output_open(o->glb, c->force, &out->glb, err));
     if (o->obj != NULL) SVO_TRY(fmt_output_open(o->obj, c->force, &out->obj, err));
     if (o->swc != NULL) SVO_TRY(fmt_output_open(o->swc, c->force, &out->swc, err));
+    if (o->bound != NULL) SVO_TRY(fmt_output_open(o->bound, c->force, &out->bound, err));
     return SVO_OK;
 }
 
@@ -234,6 +236,53 @@ static svo_result write_glb(cli *c, const tool_options *o, fmt_output *out, cons
     return r;
 }
 
+/* The octree of --bind with a bone for every value; its provenance is this run's. */
+static svo_result bind_octree(cli *c, const tool_options *o, fmt_input *in, fmt_output *out, const skel_skeleton *s, const char *provenance, skel_bind_report *report,
+                              svo_error *err)
+{
+    fmt_svo_reader *reader = NULL;
+    fmt_svo_writer *writer = NULL;
+    skel_binder *binder = NULL;
+    svo_tree_info info;
+    svo_result r = fmt_svo_reader_open(in, s->allocator, &reader, err);
+    if (r == SVO_OK) r = skel_bind_info(s, fmt_svo_reader_info(reader), &info, err);
+    if (r == SVO_OK) r = skel_binder_create(s, s->allocator, &binder, err);
+    if (r == SVO_OK) r = fmt_svo_writer_begin(out, &info, provenance, 0, s->allocator, &writer, err);
+    if (r == SVO_OK) {
+        svo_chunk_source source = fmt_svo_reader_source(reader);
+        svo_chunk_sink sink = fmt_svo_writer_sink(writer);
+        r = skel_bind_octree(binder, fmt_svo_reader_info(reader), &source, &info, &sink, (uint32_t)c->threads, s->allocator, report, err);
+    }
+    if (r == SVO_OK && fmt_svo_reader_shard(reader) != NULL) r = svo_fail(err, SVO_UNSUPPORTED, "it is a shard of an octree; join the shards with svo-merge first");
+    if (r == SVO_OK) {
+        r = fmt_svo_writer_end(writer, NULL, err);
+        writer = NULL;
+    }
+    fmt_svo_writer_discard(writer);
+    skel_binder_free(binder);
+    if (reader != NULL) fmt_svo_reader_close(reader);
+    return cli_about(o->bind, r, err);
+}
+
+static svo_result write_bound(cli *c, const tool_options *o, fmt_output *out, const skel_skeleton *s, const char *provenance, svo_error *err)
+{
+    fmt_input *in;
+    skel_bind_report report;
+    SVO_TRY(fmt_input_open(o->bind, &in, err));
+    svo_result r = bind_octree(c, o, in, out, s, provenance, &report, err);
+    fmt_input_close(in);
+    if (r != SVO_OK) return r;
+    json_t *b = json_object();
+    cli_put_u64(b, "bytes", fmt_output_offset(out));
+    cli_put_u64(b, "values", report.counts.values);
+    cli_put_u64(b, "bones_used", report.bones_used);
+    cli_put_u64(b, "unbound", report.unbound);
+    cli_put_f64(b, "sample_distance_mean_voxels", report.distance_mean);
+    cli_put_f64(b, "sample_distance_max_voxels", report.distance_max);
+    json_object_set_new(cli_section(c, "output"), "bound", b);
+    return SVO_OK;
+}
+
 static svo_result write_all(cli *c, const tool_options *o, outputs *out, const svo_mesh *mesh, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
 {
     SVO_TRY(fmt_skel_write(out->skel, s, provenance, err));
@@ -247,11 +296,17 @@ static svo_result write_all(cli *c, const tool_options *o, outputs *out, const s
     if (r == SVO_OK && out->swc != NULL) r = fmt_export_skel_swc(out->swc, s, &tree, err);
     skel_tree_free(&tree);
     if (r == SVO_OK && out->obj != NULL) r = fmt_export_skel_obj(out->obj, s, err);
+    if (r == SVO_OK && out->bound != NULL) {
+        cli_phase(c, "bind");
+        r = write_bound(c, o, out->bound, s, provenance, err);
+        cli_phase(c, "write");
+    }
     if (r != SVO_OK) return r;
     *bytes = fmt_output_offset(out->skel);
     SVO_TRY(commit(&out->glb, err));
     SVO_TRY(commit(&out->obj, err));
     SVO_TRY(commit(&out->swc, err));
+    SVO_TRY(commit(&out->bound, err));
     return commit(&out->skel, err);
 }
 
@@ -293,6 +348,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     fmt_output_discard(out.glb);
     fmt_output_discard(out.obj);
     fmt_output_discard(out.swc);
+    fmt_output_discard(out.bound);
     json_decref(inputs);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) r = svo_fail(err, SVO_LIMIT, "--memory is too small for this model and omega");
     return r;
@@ -325,8 +381,9 @@ int main(int argc, char **argv)
          .help = "Joints that may move a vertex of the skinned .glb."},
         {.name = "smoothing", .kind = CLI_U64, .value = &o.smoothing, .argument = "N", .max = 1000, .group = "Output",
          .help = "Rounds in which a vertex's weights are averaged with its neighbours'."},
-        {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Not available", .help = "Give voxels a bone channel."},
-        {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Output of --bind."},
+        {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Output",
+         .help = "Give the voxels of this octree, which lies where the model lies, a channel with their bone."},
+        {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Output", .help = "Where --bind writes the octree."},
         {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Solid voxels from the contraction."},
         {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Not available", .help = "A closed mesh from the skeleton."},
         {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "WHAT", .no_default = true, .group = "Not available", .help = "Other feature sizes for some bones."},
@@ -348,8 +405,9 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
     if (!o.has_omega) return cli_usage(&c, "--omega is needed");
-    const char *const files[] = {c.output, o.glb, o.obj, o.swc};
-    for (int i = 0; i < 4; i++)
+    if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
+    const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound};
+    for (int i = 0; i < 5; i++)
         for (int k = 0; k < i; k++)
             if (files[i] != NULL && files[k] != NULL && strcmp(files[i], files[k]) == 0) return cli_usage(&c, "two outputs name the same file, %s", files[i]);
     svo_error err = {0};

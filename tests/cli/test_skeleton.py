@@ -156,6 +156,30 @@ def test_skinned_glb_and_swc(folder):
         check({tuple(map(float, r[2:5])) for r in rows} == set(points), rows[:3])
 
 
+def test_bind(folder):
+    """Along a tube, the bone of a voxel is the one beside it, or the next where bones meet."""
+    tube_obj(folder / "tube.obj")
+    for name, options in (("surface", ()), ("colors", ("--attributes", "normal"))):
+        svo, bound = folder / (name + ".svo"), folder / (name + "_bound.svo")
+        run("svo-voxelize", folder / "tube.obj", "-o", svo, "--depth", 7, *(options or ("--attributes", "none")))
+        run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "-f", "--omega", 0.03, "--obj", folder / "t.obj", "--bind", svo, "--bound", bound,
+            "--report", folder / "r.json")
+        points, bones = curve(folder / "t.obj")
+        run("svo-dump", bound, "--validate")
+        run("svo-dump", bound, "--voxels", folder / "b.ply", "-f")
+        names, rows = support.read_ply(folder / "b.ply")
+        check(("nx" in names) == bool(options), names)
+        at, which = [names.index(k) for k in "xyz"], names.index("bone")
+        for row in rows:
+            a, b = (points[j] for j in bones[row[which]])
+            low, high = sorted((a[0], b[0]))
+            x = min(max(row[at[0]], min(p[0] for p in points)), max(p[0] for p in points))
+            check(low - 0.12 <= x <= high + 0.12, (row, a, b))
+        out = support.report(folder / "r.json")["output"]["bound"]
+        check(out["values"] == len(rows) and out["unbound"] == 0 and out["bones_used"] == len({r[which] for r in rows}) == len(bones), out)
+        check(out["bytes"] == bound.stat().st_size and 0 < out["sample_distance_mean_voxels"] < out["sample_distance_max_voxels"] < 6, out)
+
+
 def test_glb_of_voxels_is_the_curve(folder):
     tube_obj(folder / "tube.obj")
     run("svo-voxelize", folder / "tube.obj", "-o", folder / "t.svo", "--depth", 6, "--attributes", "none")
@@ -216,13 +240,18 @@ def test_exit_codes(folder):
     expect(1, folder / "tube.obj", "-o", out, "--omega", "nan")
     expect(1, folder / "tube.obj", folder / "tube.obj", "-o", out, "--omega", 0.03)
     expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--glb", out)
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--bind", folder / "tube.obj")
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--bound", folder / "b.svo")
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--influences", 9)
+    expect(3, folder / "tube.obj", "-o", out, "--omega", 0.03, "--bind", folder / "tube.obj", "--bound", folder / "b.svo")
+    check(not (folder / "b.svo").exists() and not out.exists(), "a refused octree leaves files behind")
     expect(2, folder / "missing.obj", "-o", out, "--omega", 0.03)
     expect(2, folder / "tube.obj", "-o", folder / "no" / "x.skel", "--omega", 0.03)
     (folder / "empty.obj").write_text("v 0 0 0\n")
     expect(3, folder / "empty.obj", "-o", out, "--omega", 0.03)
     (folder / "bad.svo").write_bytes(b"\x89SVX\r\n\x1a\n" + bytes(300))
     expect(3, folder / "bad.svo", "-o", out, "--omega", 0.03)
-    for option in ("--bind", "--solid", "--reconstruct", "--refine"):
+    for option in ("--solid", "--reconstruct", "--refine"):
         r = expect(5, folder / "tube.obj", "-o", out, "--omega", 0.03, option, folder / "y")
         check(option in r.err, r)
     r = expect(6, folder / "tube.obj", "-o", out, "--omega", 0.0002, "--max-vertices", 10000)
