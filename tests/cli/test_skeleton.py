@@ -167,16 +167,14 @@ def test_bind(folder):
         points, bones = curve(folder / "t.obj")
         run("svo-dump", bound, "--validate")
         run("svo-dump", bound, "--voxels", folder / "b.ply", "-f")
-        names, rows = support.read_ply(folder / "b.ply")
-        check(("nx" in names) == bool(options), names)
-        at, which = [names.index(k) for k in "xyz"], names.index("bone")
-        for row in rows:
-            a, b = (points[j] for j in bones[row[which]])
-            low, high = sorted((a[0], b[0]))
-            x = min(max(row[at[0]], min(p[0] for p in points)), max(p[0] for p in points))
-            check(low - 0.12 <= x <= high + 0.12, (row, a, b))
+        ply = support.read_ply(folder / "b.ply")
+        check(("nx" in ply) == bool(options), ply.keys())
+        for x, bone in zip(ply["x"], ply["bone"]):
+            low, high = sorted(points[j][0] for j in bones[bone])
+            x = min(max(x, min(p[0] for p in points)), max(p[0] for p in points))
+            check(low - 0.12 <= x <= high + 0.12, (x, low, high))
         out = support.report(folder / "r.json")["output"]["bound"]
-        check(out["values"] == len(rows) and out["unbound"] == 0 and out["bones_used"] == len({r[which] for r in rows}) == len(bones), out)
+        check(out["values"] == len(ply["x"]) and out["unbound"] == 0 and out["bones_used"] == len(set(ply["bone"])) == len(bones), out)
         check(out["bytes"] == bound.stat().st_size and 0 < out["sample_distance_mean_voxels"] < out["sample_distance_max_voxels"] < 6, out)
 
 
