@@ -43,10 +43,7 @@ svo_result svo_placement_create(const svo_mesh *mesh, const svo_allocator *a, sv
                 triangles += part->triangle_count;
             }
         }
-        /* Triangle numbers are 32 bits: a mesh that needs more is better packed as instances than voxelized in one grid. */
-        if (triangles >= UINT32_MAX || groups >= UINT32_MAX)
-            return svo_fail(err, SVO_LIMIT, "%llu placed triangles are more than one run can take (4294967294); split the input, or pack its "
-                            "instances with svo-pack", (unsigned long long)triangles);
+        if (groups >= UINT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu placed parts are more than one run can take", (unsigned long long)groups);
         p.group_count = groups;
         p.triangle_count = triangles;
         if (groups == 0) break;
@@ -215,6 +212,10 @@ static svo_result no_memory(const svo_placement *p, svo_error *err)
 svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t level, uint64_t keep_bytes, uint32_t threads,
                            const svo_allocator *a, svo_bins **out, svo_bins_report *report, svo_error *err)
 {
+    /* Triangle numbers are 32 bits: a mesh that needs more is better packed as instances than voxelized in one grid. */
+    if (p->triangle_count >= UINT32_MAX)
+        return svo_fail(err, SVO_LIMIT, "%llu placed triangles are more than can be worked on in memory (4294967294); give --memory so that they are "
+                        "worked on in parts, split the input, or pack its instances with svo-pack", (unsigned long long)p->triangle_count);
     svo_bins *b = svo_calloc(a, 1, sizeof *b);
     if (b == NULL) return no_memory(p, err);
     uint64_t n = p->triangle_count, blocks = (n + BLOCK - 1) / BLOCK;

@@ -4,8 +4,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "svo_bin.h"
 #include "svo_voxelize.h"
+#include "svoi_scatter.h"
 
 svo_voxelize_options svo_default_voxelize_options(void)
 {
@@ -92,7 +92,7 @@ static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool an
         float glow[3];
         for (int i = 0; i < 3; i++) glow[i] = m.emissive[i] > 0 ? m.emissive[i] < 1 ? m.emissive[i] : 1 : 0;
         bool glows = glow[0] > 0 || glow[1] > 0 || glow[2] > 0, mr = textured(mesh, &m.metallic_roughness_texture);
-        use(&color, m.base_color, 3, textured(mesh, &m.base_color_texture) || part->colors != NULL);
+        use(&color, m.base_color, 3, textured(mesh, &m.base_color_texture) || svo_part_has_colors(part));
         use(&emissive, glow, 3, glows && textured(mesh, &m.emissive_texture));
         use(&metallic, &m.metallic, 1, mr && m.metallic > 0);
         use(&roughness, &m.roughness, 1, mr && m.roughness > 0);
@@ -140,7 +140,7 @@ svo_result svo_voxelize_plan(const svo_mesh *mesh, const svo_voxelize_options *o
     SVO_TRY(svo_placement_create(mesh, options->allocator, &p, err));
     double low[3], high[3];
     bool any = false;
-    svo_result r = svo_placement_bounds(&p, options->threads, &any, low, high, err);
+    svo_result r = svoi_bounds(&p, options->threads, options->allocator, &any, low, high, err);
     svo_grid g = {.size = ldexp(1, -(int)options->depth), .depth = options->depth};
     if (r == SVO_OK && options->voxel_size != 0) {
         if (!any) low[0] = low[1] = low[2] = high[0] = high[1] = high[2] = 0;

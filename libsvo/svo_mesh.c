@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "svo_soup.h"
+
 char *svo_string_copy(const svo_allocator *a, const char *text)
 {
     if (text == NULL) text = "";
@@ -38,6 +40,8 @@ void svo_mesh_free(svo_mesh *mesh)
         svo_shape *shape = &mesh->shapes[s];
         for (uint32_t p = 0; shape->parts != NULL && p < shape->part_count; p++) {
             svo_part *part = &shape->parts[p];
+            svo_soup_free(part->soup);
+            if (part->soup != NULL) continue;
             svo_free(a, part->positions, part->vertex_count, 3 * sizeof(double));
             svo_free(a, part->normals, part->vertex_count, 3 * sizeof(float));
             for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) svo_free(a, part->uvs[u], part->vertex_count, 2 * sizeof(float));
@@ -67,12 +71,21 @@ void svo_mesh_free(svo_mesh *mesh)
     mesh->allocator = a;
 }
 
+bool svo_part_has_colors(const svo_part *part) { return part->soup != NULL ? part->soup->layout.colors : part->colors != NULL; }
+
 svo_mesh_counts svo_mesh_count(const svo_mesh *mesh)
 {
     svo_mesh_counts c = {0};
     for (uint32_t s = 0; s < mesh->shape_count; s++)
         for (uint32_t p = 0; p < mesh->shapes[s].part_count; p++) {
             const svo_part *part = &mesh->shapes[s].parts[p];
+            if (part->soup != NULL) {
+                c.vertices += part->vertex_count;
+                c.triangles += part->triangle_count;
+                c.spilled_triangles += part->triangle_count;
+                c.spilled_bytes += part->triangle_count * part->soup->layout.stride;
+                continue;
+            }
             uint64_t per_vertex = 3 * sizeof(double) + (part->normals != NULL ? 12 : 0) + (part->colors != NULL ? 16 : 0);
             for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) per_vertex += part->uvs[u] != NULL ? 8 : 0;
             c.vertices += part->vertex_count;
@@ -98,6 +111,7 @@ bool svo_mesh_bounds(const svo_mesh *mesh, double low[3], double high[3])
         const svo_shape *shape = &mesh->shapes[instance->shape];
         for (uint32_t p = 0; p < shape->part_count; p++) {
             const svo_part *part = &shape->parts[p];
+            SVO_ASSERT(part->soup == NULL);
             for (uint64_t t = 0; t < part->triangle_count; t++) {
                 svo_vec3 v[3];
                 for (int k = 0; k < 3; k++) {

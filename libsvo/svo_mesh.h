@@ -65,7 +65,12 @@ typedef struct svo_part {
     float *uvs[SVO_MAX_UV_SETS]; /* 2 * vertex_count each */
     float *colors;               /* 4 * vertex_count, linear RGBA, multiplies base_color */
     uint32_t *indices;           /* 3 * triangle_count */
+    /* Not NULL: the triangles lie outside of memory (svo_soup.h) and the arrays above are NULL. Importers do that only where
+     * they are given a spill; of all builders only the voxelizer takes it. */
+    struct svo_soup *soup;
 } svo_part;
+/* Has the part colours of its own? */
+bool svo_part_has_colors(const svo_part *part);
 
 /* What instances refer to: one mesh of a glTF file, or everything in a file of another format. */
 typedef struct svo_shape {
@@ -111,7 +116,8 @@ void svo_string_free(const svo_allocator *a, char *text);
 typedef struct svo_mesh_counts {
     uint64_t vertices, triangles;             /* stored, each shape once */
     uint64_t placed_triangles;                /* with instances */
-    uint64_t bytes;                           /* of all arrays and images */
+    uint64_t bytes;                           /* of all arrays and images in memory */
+    uint64_t spilled_triangles, spilled_bytes; /* of the above: outside of memory, and what they take there */
 } svo_mesh_counts;
 /* Counted in time linear in parts and instances; names and the structs themselves are not in `bytes`. */
 svo_mesh_counts svo_mesh_count(const svo_mesh *mesh);

@@ -23,6 +23,7 @@ struct svo_shader {
     shade_material *materials; /* material_count + 1: the last is the default */
     svo_pyramid *pyramids;     /* 3 an image, by svo_texel; levels 0: not built */
     bool *mirrored;            /* by instance: the transform turns triangles inside out */
+    uint32_t image_count, material_count, instance_count; /* of the arrays above */
 };
 
 /* --- set up --------------------------------------------------------------------------------------------------- */
@@ -85,6 +86,9 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
     s->materials = svo_calloc(a, (uint64_t)mesh->material_count + 1, sizeof *s->materials);
     s->pyramids = svo_calloc(a, pyramids, sizeof *s->pyramids);
     s->mirrored = svo_calloc(a, mesh->instance_count, sizeof *s->mirrored);
+    s->image_count = mesh->image_count;
+    s->material_count = mesh->material_count;
+    s->instance_count = mesh->instance_count;
     svo_result r = SVO_OK;
     if (s->materials == NULL || (pyramids != 0 && (s->pyramids == NULL || wanted == NULL)) || (mesh->instance_count != 0 && s->mirrored == NULL))
         r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for %u materials", mesh->material_count);
@@ -115,16 +119,28 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
     return SVO_OK;
 }
 
+svo_result svo_shader_rebind(svo_shader *s, const svo_placement *p, svo_error *err)
+{
+    const svo_mesh *mesh = p->mesh;
+    bool *mirrored = svo_calloc(s->allocator, mesh->instance_count, sizeof *mirrored);
+    if (mirrored == NULL && mesh->instance_count != 0) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for %u instances", mesh->instance_count);
+    for (uint32_t i = 0; i < mesh->instance_count; i++) mirrored[i] = svo_mat4_det3(&mesh->instances[i].transform) < 0;
+    svo_free(s->allocator, s->mirrored, s->instance_count, sizeof *s->mirrored);
+    s->mirrored = mirrored;
+    s->instance_count = mesh->instance_count;
+    s->placement = p;
+    return SVO_OK;
+}
+
 void svo_shader_free(svo_shader *s)
 {
     if (s == NULL) return;
-    const svo_mesh *mesh = s->placement->mesh;
-    uint64_t pyramids = (uint64_t)mesh->image_count * 3;
+    uint64_t pyramids = (uint64_t)s->image_count * 3;
     for (uint64_t i = 0; s->pyramids != NULL && i < pyramids; i++)
         if (s->pyramids[i].levels != 0) svo_pyramid_free(&s->pyramids[i]);
     svo_free(s->allocator, s->pyramids, pyramids, sizeof *s->pyramids);
-    svo_free(s->allocator, s->materials, (uint64_t)mesh->material_count + 1, sizeof *s->materials);
-    svo_free(s->allocator, s->mirrored, mesh->instance_count, sizeof *s->mirrored);
+    svo_free(s->allocator, s->materials, (uint64_t)s->material_count + 1, sizeof *s->materials);
+    svo_free(s->allocator, s->mirrored, s->instance_count, sizeof *s->mirrored);
     svo_free(s->allocator, s, 1, sizeof *s);
 }
 

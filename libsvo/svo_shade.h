@@ -25,6 +25,8 @@ typedef struct svo_shade_layout {
 typedef struct svo_shader svo_shader;
 svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const svo_tree_info *info, uint32_t threads,
                              const svo_allocator *a, svo_shader **out, svo_error *err);
+/* Mean another placement from now on, of a mesh with the same materials and images. */
+svo_result svo_shader_rebind(svo_shader *s, const svo_placement *p, svo_error *err);
 void svo_shader_free(svo_shader *s);
 const svo_shade_layout *svo_shader_layout(const svo_shader *s);
 

@@ -6,7 +6,11 @@
 #include "svo_morton.h"
 #include "svo_task.h"
 
-enum { MOST_VISITS = 1 << 20 }; /* (triangle, voxel) pairs of a chunk that are remembered; with more they are found again */
+enum {
+    MOST_VISITS = 1 << 20,
+    SLICE_VOXELS = 1 << 17,
+    IN_MEMORY_COST = 32 /* bytes a triangle that the walk in memory takes with its lists, besides snapped triangles */
+};
 
 static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing"); }
 
@@ -19,7 +23,7 @@ static void record_row(svoi_scan *s, const svo_raster_row *row)
     size_t count = 0;
     for (int32_t u = row->u0; u <= row->u1; u++) count += row->lo[u] <= row->hi[u] ? (size_t)(row->hi[u] - row->lo[u] + 1) : 0;
     svo_buffer *v = &s->w->visits;
-    if (v->size / 4 + count > MOST_VISITS || !svo_buffer_reserve(v, 4 * count)) {
+    if (v->size / 4 + count > s->r->most_visits || !svo_buffer_reserve(v, 4 * count)) {
         s->recording = false;
         return;
     }
@@ -67,7 +71,13 @@ static void mark_shaded(void *user, const svo_raster_row *row)
     record_row(user, row);
 }
 
-static void mark_voxels(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3])
+svo_result svoi_enter_part(svoi_scan *s, uint32_t number, svo_error *err)
+{
+    const svoi_parts *p = s->it->parts;
+    return p == NULL ? SVO_OK : p->enter(p->user, number, &s->it->list, err);
+}
+
+static void mark_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3])
 {
     svoi_run *r = s->r;
     const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
@@ -79,7 +89,7 @@ static void mark_voxels(svoi_scan *s, const int32_t box_lo[3], const int32_t box
     /* The thin set is found with other scans than the surface in its voxels. */
     svo_buffer *starts = &s->w->starts;
     s->w->visits.size = starts->size = 0;
-    s->recording = r->shader != NULL && r->info->channel_count != 0 && !thin && count < MOST_VISITS && svo_buffer_reserve(starts, 4 * (count + 1));
+    s->recording = s->it->parts == NULL && r->shader != NULL && r->info->channel_count != 0 && !thin && count < r->most_visits && svo_buffer_reserve(starts, 4 * (count + 1));
     for (uint64_t i = 0; i < count; i++) {
         svo_record record;
         svoi_load_triangle(s, list[i], &record);
@@ -106,6 +116,15 @@ static void mark_voxels(svoi_scan *s, const int32_t box_lo[3], const int32_t box
     }
 }
 
+static svo_result mark_voxels(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], svo_error *err)
+{
+    for (uint32_t part = 0; part < svoi_part_count(s); part++) {
+        SVO_TRY(svoi_enter_part(s, part, err));
+        mark_part(s, box_lo, box_hi);
+    }
+    return SVO_OK;
+}
+
 /* --- pipeline ------------------------------------------------------------------------------------------------- */
 
 static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
@@ -123,6 +142,7 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     it->masked = 0;
     it->samples.list.size = it->samples.triangles.size = 0;
     it->distances = (svo_distances){0};
+    it->parts = NULL;
     it->first = !r->started;
     r->started = true;
     return svo_bins_next(r->bins, &it->code, &it->list, more, err);
@@ -182,10 +202,9 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
     s.corner_axis[1] = (int32_t)(y << levels);
     s.corner_axis[2] = (int32_t)(z << levels);
     const int32_t last = (1 << levels) - 1, box_lo[3] = {0, 0, 0}, box_hi[3] = {last, last, last};
-    mark_voxels(&s, box_lo, box_hi);
-    svo_result result = SVO_OK;
+    svo_result result = mark_voxels(&s, box_lo, box_hi, err);
     w->masks.size = 0;
-    if (!svo_block_emit(w->block, &w->masks, &it->counts)) result = out_of_memory(err);
+    if (result == SVO_OK && !svo_block_emit(w->block, &w->masks, &it->counts)) result = out_of_memory(err);
     if (result == SVO_OK && r->masks)
         for (uint32_t i = 0; i < 512; i++)
             for (uint64_t bits = w->block->dirty[i]; bits != 0; bits &= bits - 1) {
@@ -193,8 +212,8 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
                 it->masked += (uint64_t)__builtin_popcountll(w->block->masked[brick] & ~w->block->bricks[brick]);
             }
     if (result == SVO_OK && it->counts.nodes[7] != 0) {
-        if (r->shader != NULL && r->info->channel_count != 0 && !svoi_shade_chunk(&s, box_lo, box_hi)) result = out_of_memory(err);
-        measure(&s, last + 1);
+        if (r->shader != NULL && r->info->channel_count != 0) result = svoi_shade_chunk(&s, box_lo, box_hi, err);
+        if (result == SVO_OK && svoi_part_count(&s) == 1) measure(&s, last + 1); /* else the nearest triangle may be in another part */
         if (result == SVO_OK && r->sample_count != 0 && r->shader != NULL) svoi_samples_take(&s, box_lo, box_hi);
         if (result == SVO_OK) {
             /* A unit smaller than the block lies in its low corner: drop the nodes above. */
@@ -267,38 +286,85 @@ static bool mesh_masks(const svo_mesh *mesh)
 
 static uint64_t shifted(uint64_t code, uint32_t by) { return code > UINT64_MAX >> by ? UINT64_MAX : code << by; }
 
-static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, svo_error *err)
+svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err)
 {
-    double started = svo_seconds();
+    svo_pipeline p = {.threads = threads, .item_size = sizeof(svoi_item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
+    return svo_pipeline_run(&p, err);
+}
+
+svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err)
+{
+    svoi_item it = {.code = code, .parts = parts, .first = !r->started, .owner = r};
+    r->started = true;
+    svo_buffer_init(&it.list, r->allocator);
+    svo_buffer_init(&it.copy, r->allocator);
+    svoi_samples_init(&it.samples, r->allocator);
+    svo_result result = work(r, &it, 0, err);
+    if (result == SVO_OK) result = commit(r, &it, err);
+    destroy(r, &it);
+    return result;
+}
+
+/* In memory, or through a spill? Whatever does not need it goes without. */
+static bool must_spill(const svoi_run *r, const svo_voxelize_options *o, uint64_t left, uint32_t threads)
+{
+    for (uint64_t g = 0; g < r->placement.group_count; g++)
+        if (r->placement.groups[g].part->soup != NULL) return true;
+    if (r->placement.triangle_count >= UINT32_MAX) return o->spill != NULL;
+    if (o->spill == NULL || o->memory == 0) return false;
+    return r->placement.triangle_count > left / IN_MEMORY_COST || r->placement.triangle_count * IN_MEMORY_COST + threads * svoi_worker_bytes(r) > left;
+}
+
+/* Fewer workers, and smaller scratch of each, where memory is short: neither changes a byte of the result. */
+static uint32_t fit_workers(svoi_run *r, uint64_t left, uint32_t threads)
+{
+    while (threads > 1 && threads * svoi_worker_bytes(r) > left / 2) threads--;
+    while (svoi_worker_bytes(r) > left / 2 && r->slice_voxels > 1024) r->slice_voxels /= 2, r->most_visits /= 2;
+    return threads;
+}
+
+static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, const svo_limit_allocator *limit, svo_error *err)
+{
     svo_voxelize_report *report = r->report;
+    r->began = svo_seconds();
+    r->most_visits = MOST_VISITS;
+    r->slice_voxels = SLICE_VOXELS;
     SVO_TRY(svo_placement_create(r->placement.mesh, r->allocator, &r->placement, err));
     report->triangles = r->placement.triangle_count;
-    svo_bins_report bins;
-    /* Half of what is allowed goes to snapped triangles; without room for them they are snapped again at every use. */
-    uint64_t keep = o->memory == 0 ? UINT64_MAX : o->memory / 2;
     r->levels = svoi_unit_levels(r->info->depth);
-    const uint32_t level = r->info->depth - r->levels, below = 3 * (level - svo_chunk_level(r->info->depth));
+    const uint32_t below = 3 * (r->info->depth - r->levels - svo_chunk_level(r->info->depth));
     r->joins = below != 0;
-    SVO_TRY(svo_bins_create(&r->placement, &r->grid, level, keep, threads, r->allocator, &r->bins, &bins, err));
-    if (o->has_range) svo_bins_limit(r->bins, shifted(o->first_code, below), shifted(o->end_code, below));
+    const uint64_t first = o->has_range ? shifted(o->first_code, below) : 0, end = o->has_range ? shifted(o->end_code, below) : UINT64_MAX;
+    bool varies = false;
+    for (uint32_t c = 0; c < r->info->channel_count; c++) varies |= !r->info->channels[c].constant;
+    r->masks = mesh_masks(r->placement.mesh);
+    if (varies || r->masks) SVO_TRY(svo_shader_create(&r->placement, &r->grid, r->info, threads, r->allocator, &r->shader, err));
+    uint64_t used = svo_limit_in_use(limit), left = o->memory == 0 ? UINT64_MAX : o->memory > used ? o->memory - used : 0;
+    if (o->memory != 0) threads = fit_workers(r, left, threads);
+    svo_bins_report bins = {0};
+    svo_result result;
+    if (must_spill(r, o, left, threads)) {
+        report->spilled = true;
+        r->sample_count = 0; /* samples mean triangles of the mesh as a whole */
+        result = svoi_voxelize_spilled(r, o, first, end, o->memory != 0 ? left : 0, threads, &bins, err);
+    } else {
+        /* Half of what is allowed goes to snapped triangles; without room for them they are snapped again at every use. */
+        uint64_t keep = o->memory == 0 ? UINT64_MAX : left / 2;
+        SVO_TRY(svo_bins_create(&r->placement, &r->grid, r->info->depth - r->levels, keep, threads, r->allocator, &r->bins, &bins, err));
+        svo_bins_limit(r->bins, first, end);
+        report->seconds_setup = svo_seconds() - r->began;
+        result = svoi_run_chunks(r, threads, err);
+    }
     report->skipped_not_finite = bins.skipped;
     report->degenerate = bins.degenerate;
     uint64_t corners = 3 * (report->triangles - bins.skipped);
     report->snap_mean = corners != 0 ? bins.snap_sum / (double)corners : 0;
     report->snap_max = bins.snap_max;
-    bool varies = false;
-    for (uint32_t c = 0; c < r->info->channel_count; c++) varies |= !r->info->channels[c].constant;
-    r->masks = mesh_masks(r->placement.mesh);
-    if (varies || r->masks) SVO_TRY(svo_shader_create(&r->placement, &r->grid, r->info, threads, r->allocator, &r->shader, err));
-    report->seconds_setup = svo_seconds() - started;
-    started = svo_seconds();
-    svo_pipeline p = {.threads = threads, .item_size = sizeof(svoi_item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
-    svo_result result = svo_pipeline_run(&p, err);
     if (result == SVO_OK && r->joins) result = finish_join(r, err);
     if (report->distance_samples != 0) report->distance_mean /= (double)report->distance_samples;
-    report->seconds_voxels = svo_seconds() - started;
+    report->seconds_voxels = svo_seconds() - r->began - report->seconds_setup;
     if (result != SVO_OK || r->sample_count == 0) return result;
-    started = svo_seconds();
+    double started = svo_seconds();
     result = svoi_samples_measure(r, threads, err);
     report->seconds_reference = svo_seconds() - started;
     return result;
@@ -332,7 +398,7 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     r->grid.size = info->voxel_to_world[0];
     for (int i = 0; i < 3; i++) r->grid.origin[i] = info->voxel_to_world[4 * i + 3];
     svo_error local = {0};
-    svo_result result = run_all(r, options, threads, &local);
+    svo_result result = run_all(r, options, threads, &limit, &local);
     if (result == SVO_OUT_OF_MEMORY && options->memory != 0) {
         char why[120];
         memcpy(why, local.message, sizeof why - 1);

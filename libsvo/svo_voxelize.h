@@ -3,6 +3,7 @@
 #define SVO_VOXELIZE_H
 
 #include "svo_mesh.h"
+#include "svo_spill.h"
 #include "svo_stream.h"
 
 #ifdef __cplusplus
@@ -25,6 +26,9 @@ typedef struct svo_voxelize_options {
     uint32_t channels; /* SVO_WANT_ bits, 0 = geometry only */
     uint32_t threads;  /* 0 = all */
     uint64_t memory;   /* bytes the call may hold besides the mesh, 0 = no limit; more is SVO_LIMIT */
+    /* Where triangles go that do not fit in `memory` (svo_spill.h), also those of parts that are spilled already, for which it
+     * must be given. NULL: nowhere, then too little memory is SVO_LIMIT. */
+    const svo_spill *spill;
     /* When has_range: only chunks with first_code <= code < end_code, with the bytes that a whole run gives them. What the
      * report says of triangles is of the whole mesh, what it says of voxels of the range. */
     bool has_range;
@@ -58,8 +62,12 @@ typedef struct svo_voxelize_report {
     uint64_t distance_samples;
     svo_tree_counts counts;
     uint64_t peak_bytes;          /* of memory charged to `memory` */
+    bool spilled;                 /* triangles went through the spill: */
+    uint64_t spill_bins;          /* parts that were voxelized one after the other */
+    uint32_t spill_rounds;        /* times that triangles were binned, at most, before they were in such a part */
+    uint64_t split_units;         /* chunks, or parts of the only chunk, whose triangles alone did not fit */
     svo_channel_error attribute_errors[SVO_MAX_CHANNELS]; /* in the order of the info's channels; SVO_REFERENCE_POINTS a voxel */
-    uint64_t reference_voxels;                            /* that were compared */
+    uint64_t reference_voxels;                            /* that were compared; none when spilled */
     double seconds_setup, seconds_voxels, seconds_reference;
 } svo_voxelize_report;
 

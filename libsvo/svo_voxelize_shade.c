@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-enum { SLICE_VOXELS = 1 << 17 }; /* voxels averaged at a time: bounds the memory for sums */
+static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while averaging attributes"); }
 
 void svoi_load_triangle(const svoi_scan *s, uint32_t triangle, svo_record *record)
 {
@@ -182,37 +182,49 @@ static uint32_t label_of(const svoi_run *r, uint32_t group)
     return material < r->placement.mesh->material_count ? material : UINT16_MAX;
 }
 
+/* Weights of the triangles with one label. */
+static void weigh_part(svoi_scan *s, uint32_t label, const int32_t box_lo[3], const int32_t box_hi[3])
+{
+    const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
+    for (uint64_t i = 0; i < s->it->list.size / 4; i++) {
+        svo_record record;
+        svoi_load_triangle(s, list[i], &record);
+        if (label_of(s->r, record.group) != label) continue;
+        svoi_load_facet(s, list[i], &record);
+        s->moments = false;
+        visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
+        flush_weights(s);
+    }
+}
+
 /* The material with the greatest area in each voxel, ties to the smaller number: one pass a material. */
-static bool shade_materials(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], uint64_t voxels)
+static svo_result shade_materials(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], uint64_t voxels, svo_error *err)
 {
     svoi_run *r = s->r;
     svoi_worker *w = s->w;
-    const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
-    uint64_t count = s->it->list.size / 4;
     uint8_t *out = s->channels[s->layout->material];
     w->ids.size = 0;
     w->sums.size = 0;
-    if (!svo_buffer_append(&w->ids, NULL, voxels * 8) || !svo_buffer_append(&w->sums, NULL, voxels * 8)) return false;
+    if (!svo_buffer_append(&w->ids, NULL, voxels * 8) || !svo_buffer_append(&w->sums, NULL, voxels * 8)) return out_of_memory(err);
     uint64_t *best = (uint64_t *)(void *)w->ids.data, *sums = (uint64_t *)(void *)w->sums.data;
     for (uint32_t next = 0;;) {
         uint32_t label = UINT32_MAX; /* smallest label >= next */
-        for (uint64_t i = 0; i < count; i++) {
-            svo_record record;
-            svo_bins_record(r->bins, list[i], &record);
-            uint32_t l = label_of(r, record.group);
-            if (l >= next && l < label) label = l;
+        for (uint32_t part = 0; part < svoi_part_count(s); part++) {
+            SVO_TRY(svoi_enter_part(s, part, err));
+            const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
+            for (uint64_t i = 0; i < s->it->list.size / 4; i++) {
+                svo_record record;
+                svo_bins_record(r->bins, list[i], &record);
+                uint32_t l = label_of(r, record.group);
+                if (l >= next && l < label) label = l;
+            }
         }
-        if (label == UINT32_MAX) return true;
+        if (label == UINT32_MAX) return SVO_OK;
         memset(sums, 0, voxels * 8);
         s->sums = sums;
-        for (uint64_t i = 0; i < count; i++) {
-            svo_record record;
-            svoi_load_triangle(s, list[i], &record);
-            if (label_of(r, record.group) != label) continue;
-            svoi_load_facet(s, list[i], &record);
-            s->moments = false;
-            visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
-            flush_weights(s);
+        for (uint32_t part = 0; part < svoi_part_count(s); part++) {
+            SVO_TRY(svoi_enter_part(s, part, err));
+            weigh_part(s, label, box_lo, box_hi);
         }
         for (uint64_t v = 0; v < voxels; v++)
             if (sums[v] > best[v]) {
@@ -242,12 +254,23 @@ static void write_slice(svoi_scan *s)
         }
 }
 
-bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3])
+static void shade_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3])
+{
+    const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
+    for (uint64_t i = 0; i < s->it->list.size / 4; i++) {
+        svo_record record;
+        svoi_load_triangle(s, list[i], &record);
+        svoi_load_facet(s, list[i], &record);
+        visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
+        flush(s);
+    }
+}
+
+svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], svo_error *err)
 {
     svoi_run *r = s->r;
     svoi_worker *w = s->w;
-    const uint32_t *list = (const uint32_t *)(const void *)s->it->list.data;
-    uint64_t count = s->it->list.size / 4, voxels = s->it->counts.nodes[7], complex = s->it->counts.complex;
+    uint64_t count = svoi_triangle_count(s), voxels = s->it->counts.nodes[7], complex = s->it->counts.complex;
     s->layout = svo_shader_layout(r->shader);
     /* 2^24 parts of a voxel face; fewer where so many triangles meet that sums could overflow */
     s->shift = 24;
@@ -256,7 +279,7 @@ bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_h
     for (uint32_t c = 0; c < r->info->channel_count; c++)
         if (!r->info->channels[c].constant) bytes += voxels * svo_channel_stride(r->info->channels[c].kind);
     w->values.size = 0;
-    if (!svo_buffer_append(&w->values, NULL, bytes)) return false;
+    if (!svo_buffer_append(&w->values, NULL, bytes)) return out_of_memory(err);
     bytes = 0;
     s->written_count = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) {
@@ -272,22 +295,19 @@ bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_h
     s->flat_values = flat_values;
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
-    for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += SLICE_VOXELS) {
+    for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {
         s->slice_begin = begin;
-        s->slice_end = complex - begin < SLICE_VOXELS ? complex : begin + SLICE_VOXELS;
+        s->slice_end = complex - begin < r->slice_voxels ? complex : begin + r->slice_voxels;
         w->sums.size = 0;
-        if (!svo_buffer_append(&w->sums, NULL, (s->slice_end - begin) * s->layout->fields * 8 + 8)) return false;
+        if (!svo_buffer_append(&w->sums, NULL, (s->slice_end - begin) * s->layout->fields * 8 + 8)) return out_of_memory(err);
         s->sums = (uint64_t *)(void *)w->sums.data;
-        for (uint64_t i = 0; i < count; i++) {
-            svo_record record;
-            svoi_load_triangle(s, list[i], &record);
-            svoi_load_facet(s, list[i], &record);
-            visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
-            flush(s);
+        for (uint32_t part = 0; part < svoi_part_count(s); part++) {
+            SVO_TRY(svoi_enter_part(s, part, err));
+            shade_part(s, box_lo, box_hi);
         }
         write_slice(s);
         s->first_slice = false;
     }
-    if (s->layout->material < SVO_MAX_CHANNELS) return shade_materials(s, box_lo, box_hi, voxels);
-    return true;
+    if (s->layout->material < SVO_MAX_CHANNELS) return shade_materials(s, box_lo, box_hi, voxels, err);
+    return SVO_OK;
 }

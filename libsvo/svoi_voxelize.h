@@ -51,6 +51,8 @@ typedef struct svoi_run {
     svo_bins *bins;
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
+    uint32_t most_visits;  /* (triangle, voxel) pairs of a chunk that are remembered; with more they are found again */
+    uint64_t slice_voxels; /* voxels averaged at a time: bounds the memory for sums */
     svoi_worker workers[SVOI_MAX_WORKERS];
     bool started, has_previous;
     uint64_t previous;
@@ -60,7 +62,18 @@ typedef struct svoi_run {
     svoi_samples samples;
     uint32_t sample_count; /* kept at most; 0: none are taken */
     uint64_t sample_limit; /* hashes that are not below it need not be looked at; atomic */
+    double began;
 } svoi_run;
+
+/* The triangles of a unit in parts, of which one at a time is in memory: `enter` makes part `number` (< count) the one that the
+ * run's placement, bins and shader mean, and replaces the list. NULL where a unit's triangles are in memory together. */
+typedef struct svoi_parts {
+    void *user;
+    uint32_t count;
+    uint64_t triangles; /* of all parts */
+    /* `list` must be the same buffer in every call, untouched between them. */
+    svo_result (*enter)(void *user, uint32_t number, svo_buffer *list, svo_error *err);
+} svoi_parts;
 
 /* One unit on its way through the pipeline. */
 typedef struct svoi_item {
@@ -74,6 +87,7 @@ typedef struct svoi_item {
     uint64_t masked;
     svo_distances distances; /* of one small cube in it, chosen by its code */
     svoi_samples samples;
+    const svoi_parts *parts; /* usually NULL */
     svoi_run *owner; /* set once the slot has been used */
 } svoi_item;
 
@@ -120,8 +134,24 @@ void svoi_load_facet(svoi_scan *s, uint32_t triangle, const svo_record *record);
 /* Does alpha MASK leave something of the facet in a voxel? */
 bool svoi_visible(svoi_scan *s, const int32_t cell[3]);
 
-/* Give the voxels of the worker's block (after svo_block_emit) their values, in s->channels. False when out of memory. */
-bool svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3]);
+/* Loop over the parts of a unit's triangles: there is one, the list, unless the unit is worked on in parts. */
+static inline uint32_t svoi_part_count(const svoi_scan *s) { return s->it->parts != NULL ? s->it->parts->count : 1; }
+svo_result svoi_enter_part(svoi_scan *s, uint32_t number, svo_error *err);
+/* Triangles of all parts. */
+static inline uint64_t svoi_triangle_count(const svoi_scan *s) { return s->it->parts != NULL ? s->it->parts->triangles : s->it->list.size / 4; }
+
+/* Run the units of the bins that the run holds through the pipeline. */
+svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err);
+/* One unit whose triangles come in parts. */
+svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err);
+/* Memory that a worker needs, about. */
+uint64_t svoi_worker_bytes(const svoi_run *r);
+/* Voxelize the units first <= code < end of the run's placement in bins that fit in `memory` (0: any) besides what is allocated. */
+svo_result svoi_voxelize_spilled(svoi_run *r, const svo_voxelize_options *o, uint64_t first, uint64_t end, uint64_t memory, uint32_t threads, svo_bins_report *report,
+                                 svo_error *err);
+
+/* Give the voxels of the worker's block (after svo_block_emit) their values, in s->channels. */
+svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], svo_error *err);
 
 /* A function of a voxel that the triangle in hand meets and that exists. */
 typedef void (*svoi_voxel_fn)(svoi_scan *s, uint32_t voxel, uint32_t code);
