@@ -8,7 +8,7 @@
 #include "svo_stream.h"
 #include "svo_task.h"
 
-enum { BLOCK = 8192, MAX_WORKERS = 256 }; /* triangles of a parallel block; svo_task's most workers */
+enum { BLOCK = 8192, SPLIT_BLOCK = 1 << 16, MAX_WORKERS = 256, AHEAD = 12 }; /* triangles of a parallel block; svo_task's most workers; triangles fetched ahead */
 
 static int32_t snap_one(double v, double most)
 {
@@ -18,15 +18,23 @@ static int32_t snap_one(double v, double most)
     return (int32_t)q;
 }
 
+static double lattice_end(const svo_grid *g) { return (double)(((int64_t)1 << (g->depth + 8)) - 1); }
+
 void svo_grid_snap(const svo_grid *g, svo_vec3 p, int32_t q[3])
 {
-    double most = (double)(((int64_t)1 << (g->depth + 8)) - 1);
+    const double most = lattice_end(g);
     q[0] = snap_one((p.x - g->origin[0]) / g->size, most);
     q[1] = snap_one((p.y - g->origin[1]) / g->size, most);
     q[2] = snap_one((p.z - g->origin[2]) / g->size, most);
 }
 
 /* --- placement ------------------------------------------------------------------------------------------------ */
+
+static bool is_identity(const svo_mat4 *m)
+{
+    const svo_mat4 one = svo_mat4_identity();
+    return memcmp(m, &one, sizeof one) == 0;
+}
 
 svo_result svo_placement_create(const svo_mesh *mesh, const svo_allocator *a, svo_placement *out, svo_error *err)
 {
@@ -38,7 +46,7 @@ svo_result svo_placement_create(const svo_mesh *mesh, const svo_allocator *a, sv
             for (uint32_t k = 0; k < shape->part_count; k++) {
                 const svo_part *part = &shape->parts[k];
                 if (part->triangle_count == 0) continue;
-                if (pass == 1) p.groups[groups] = (svo_group){triangles, part, i};
+                if (pass == 1) p.groups[groups] = (svo_group){triangles, part, i, is_identity(&mesh->instances[i].transform)};
                 groups++;
                 triangles += part->triangle_count;
             }
@@ -80,7 +88,8 @@ void svo_placement_world(const svo_placement *p, const svo_group *group, uint64_
     const uint32_t *index = group->part->indices + 3 * local;
     for (int k = 0; k < 3; k++) {
         const double *at = group->part->positions + 3 * (uint64_t)index[k];
-        v[k] = svo_mat4_point(m, svo_v3(at[0], at[1], at[2]));
+        /* The product would be equal (no negative zeros either), but for corners that are not finite. */
+        v[k] = group->identity ? svo_v3(at[0] + 0.0, at[1] + 0.0, at[2] + 0.0) : svo_mat4_point(m, svo_v3(at[0], at[1], at[2]));
     }
 }
 
@@ -90,6 +99,14 @@ static bool finite_triangle(const svo_vec3 v[3])
     double z = 0;
     for (int k = 0; k < 3; k++) z += v[k].x * 0 + v[k].y * 0 + v[k].z * 0;
     return z == 0;
+}
+
+/* Ask for the corners of a triangle that will be needed soon. */
+static inline void fetch_corners(const svo_group *group, uint64_t local)
+{
+    if (local >= group->part->triangle_count) return;
+    const uint32_t *index = group->part->indices + 3 * local;
+    for (int k = 0; k < 3; k++) __builtin_prefetch(group->part->positions + 3 * (uint64_t)index[k]);
 }
 
 typedef struct bounds_job {
@@ -107,6 +124,7 @@ static svo_result bounds_block(void *user, uint64_t begin, uint64_t end, uint32_
     for (uint64_t t = begin; t < end; t++) {
         while (t - p->groups[g].first >= p->groups[g].part->triangle_count) g++;
         svo_vec3 v[3];
+        fetch_corners(&p->groups[g], t + AHEAD - p->groups[g].first);
         svo_placement_world(p, &p->groups[g], t - p->groups[g].first, v);
         if (!finite_triangle(v)) continue;
         for (int k = 0; k < 3; k++) {
@@ -153,6 +171,8 @@ struct svo_bins {
     svo_record *records; /* or NULL: snapped again at each use */
     svo_buffer lists;    /* uint32_t triangle numbers of the nodes on the stack, bottom first */
     svo_buffer masks;    /* scratch of a split: octants of each triangle */
+    svo_buffer starts;   /* the same: of each block, uint64_t[8] */
+    uint32_t threads;
     node stack[8 * (SVO_MAX_DEPTH + 1)];
     uint32_t height;
 };
@@ -170,10 +190,12 @@ static svo_result setup_block(void *user, uint64_t begin, uint64_t end, uint32_t
     svo_bins *b = job->b;
     const svo_placement *p = b->p;
     svo_bins_report r = {0};
+    const double most = lattice_end(&b->grid);
     uint64_t g = svo_placement_group(p, begin);
     for (uint64_t t = begin; t < end; t++) {
         while (t - p->groups[g].first >= p->groups[g].part->triangle_count) g++;
         svo_vec3 v[3];
+        fetch_corners(&p->groups[g], t + AHEAD - p->groups[g].first);
         svo_placement_world(p, &p->groups[g], t - p->groups[g].first, v);
         job->finite[t] = finite_triangle(v);
         if (!job->finite[t]) {
@@ -183,11 +205,15 @@ static svo_result setup_block(void *user, uint64_t begin, uint64_t end, uint32_t
         svo_record record;
         record.group = (uint32_t)g;
         for (int k = 0; k < 3; k++) {
-            svo_grid_snap(&b->grid, v[k], record.q[k]);
-            double dx = (v[k].x - b->grid.origin[0]) / b->grid.size - record.q[k][0] / 256.0;
-            double dy = (v[k].y - b->grid.origin[1]) / b->grid.size - record.q[k][1] / 256.0;
-            double dz = (v[k].z - b->grid.origin[2]) / b->grid.size - record.q[k][2] / 256.0;
-            double d = sqrt(dx * dx + dy * dy + dz * dz);
+            const double at[3] = {(v[k].x - b->grid.origin[0]) / b->grid.size, (v[k].y - b->grid.origin[1]) / b->grid.size,
+                                  (v[k].z - b->grid.origin[2]) / b->grid.size}; /* as svo_grid_snap */
+            double square[3];
+            for (int i = 0; i < 3; i++) {
+                record.q[k][i] = snap_one(at[i], most);
+                double move = at[i] - record.q[k][i] / 256.0;
+                square[i] = move * move;
+            }
+            double d = sqrt(square[0] + square[1] + square[2]);
             r.snap_sum += d;
             if (d > r.snap_max) r.snap_max = d;
         }
@@ -226,6 +252,8 @@ svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t l
     b->allocator = a;
     svo_buffer_init(&b->lists, a);
     svo_buffer_init(&b->masks, a);
+    svo_buffer_init(&b->starts, a);
+    b->threads = threads;
     memset(report, 0, sizeof *report);
     if (n == 0) {
         *out = b;
@@ -278,7 +306,13 @@ void svo_bins_free(svo_bins *b)
     svo_free(b->allocator, b->records, b->p->triangle_count, sizeof *b->records);
     svo_buffer_free(&b->lists);
     svo_buffer_free(&b->masks);
+    svo_buffer_free(&b->starts);
     svo_free(b->allocator, b, 1, sizeof *b);
+}
+
+void svo_bins_fetch(const svo_bins *b, uint32_t triangle)
+{
+    if (b->records != NULL) __builtin_prefetch(&b->records[triangle]);
 }
 
 void svo_bins_record(const svo_bins *b, uint32_t triangle, svo_record *out)
@@ -337,43 +371,85 @@ static uint8_t wanted(const svo_bins *b, node n)
     return (uint8_t)mask;
 }
 
+/* Sorting a list into those of the children. A long one is sorted by all threads: the blocks count first, then each knows where
+ * its triangles go, so the order stays. */
+typedef struct split_job {
+    const svo_bins *b;
+    const uint32_t *list;
+    uint8_t *masks;
+    int32_t corner[3], size;
+    uint8_t allowed;
+    uint64_t (*at)[8]; /* of each block: how many go to each child, then where they begin */
+    uint32_t *to;
+} split_job;
+
+static svo_result split_count(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    split_job *j = user;
+    const svo_bins *b = j->b;
+    uint64_t count[8] = {0};
+    for (uint64_t i = begin; i < end; i++) {
+        uint8_t mask;
+        if (b->records != NULL) {
+            if (i + AHEAD < end) __builtin_prefetch(&b->records[j->list[i + AHEAD]]);
+            mask = octants(b->records[j->list[i]].q, j->corner, j->size);
+        } else {
+            svo_record r;
+            svo_bins_record(b, j->list[i], &r);
+            mask = octants(r.q, j->corner, j->size);
+        }
+        mask &= j->allowed;
+        j->masks[i] = mask;
+        for (uint32_t c = 0; c < 8; c++) count[c] += mask >> c & 1;
+    }
+    memcpy(j->at[begin / SPLIT_BLOCK], count, sizeof count);
+    return SVO_OK;
+}
+
+static svo_result split_place(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    split_job *j = user;
+    uint64_t at[8];
+    memcpy(at, j->at[begin / SPLIT_BLOCK], sizeof at);
+    for (uint64_t i = begin; i < end; i++)
+        for (uint32_t mask = j->masks[i]; mask != 0; mask &= mask - 1) j->to[at[__builtin_ctz(mask)]++] = j->list[i];
+    return SVO_OK;
+}
+
 /* Replace the list on top by the lists of its children, child 0 on top. */
 static bool split(svo_bins *b, node n)
 {
-    uint64_t count = b->lists.size / 4 - n.begin;
-    b->masks.size = 0;
-    if (!svo_buffer_reserve(&b->masks, count)) return false;
+    uint64_t count = b->lists.size / 4 - n.begin, blocks = (count + SPLIT_BLOCK - 1) / SPLIT_BLOCK, total = 0;
+    svo_error unused;
+    b->masks.size = b->starts.size = 0;
+    split_job j = {.b = b, .size = (int32_t)1 << (b->grid.depth + 8 - n.level - 1), .allowed = wanted(b, n)};
+    if (!svo_buffer_reserve(&b->masks, count) || !svo_buffer_reserve(&b->starts, blocks * sizeof *j.at)) return false;
     uint32_t x, y, z;
     svo_morton_decode(n.code, &x, &y, &z);
-    int32_t size = (int32_t)1 << (b->grid.depth + 8 - n.level - 1);
-    int32_t corner[3] = {(int32_t)x * 2 * size, (int32_t)y * 2 * size, (int32_t)z * 2 * size};
-    const uint32_t *list = (const uint32_t *)(const void *)b->lists.data + n.begin;
-    uint64_t children[8] = {0};
-    const uint8_t allowed = wanted(b, n);
-    for (uint64_t i = 0; i < count; i++) {
-        uint8_t mask;
-        if (b->records != NULL) {
-            mask = octants(b->records[list[i]].q, corner, size);
-        } else {
-            svo_record r;
-            svo_bins_record(b, list[i], &r);
-            mask = octants(r.q, corner, size);
-        }
-        mask &= allowed;
-        b->masks.data[i] = mask;
-        for (uint32_t c = 0; c < 8; c++) children[c] += mask >> c & 1;
-    }
-    uint64_t total = 0, at[8];
+    j.corner[0] = (int32_t)x * 2 * j.size;
+    j.corner[1] = (int32_t)y * 2 * j.size;
+    j.corner[2] = (int32_t)z * 2 * j.size;
+    j.list = (const uint32_t *)(const void *)b->lists.data + n.begin;
+    j.masks = b->masks.data;
+    j.at = (uint64_t(*)[8])(void *)b->starts.data;
+    if (svo_parallel_for(b->threads, count, SPLIT_BLOCK, split_count, &j, &unused) != SVO_OK) return false;
     for (uint32_t c = 8; c-- > 0;) {
-        at[c] = total;
-        if (children[c] != 0) b->stack[b->height++] = (node){n.code * 8 + c, n.begin + total, n.level + 1};
-        total += children[c];
+        uint64_t begin = total;
+        for (uint64_t i = 0; i < blocks; i++) {
+            uint64_t here = j.at[i][c];
+            j.at[i][c] = total;
+            total += here;
+        }
+        if (total != begin) b->stack[b->height++] = (node){n.code * 8 + c, n.begin + begin, n.level + 1};
     }
     if (!svo_buffer_reserve(&b->lists, total * 4)) return false;
-    uint32_t *old = (uint32_t *)(void *)b->lists.data + n.begin, *fresh = old + count;
-    for (uint64_t i = 0; i < count; i++)
-        for (uint32_t mask = b->masks.data[i]; mask != 0; mask &= mask - 1) fresh[at[__builtin_ctz(mask)]++] = old[i];
-    memmove(old, fresh, total * 4);
+    uint32_t *old = (uint32_t *)(void *)b->lists.data + n.begin;
+    j.list = old;
+    j.to = old + count;
+    if (svo_parallel_for(b->threads, count, SPLIT_BLOCK, split_place, &j, &unused) != SVO_OK) return false;
+    memmove(old, j.to, total * 4);
     b->lists.size = (n.begin + total) * 4;
     return true;
 }

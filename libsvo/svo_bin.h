@@ -23,6 +23,7 @@ typedef struct svo_group {
     uint64_t first; /* number of its first triangle */
     const svo_part *part;
     uint32_t instance;
+    bool identity; /* the instance's transform changes nothing */
 } svo_group;
 typedef struct svo_placement {
     const svo_mesh *mesh;
@@ -61,6 +62,8 @@ void svo_bins_limit(svo_bins *b, uint64_t first, uint64_t end);
 svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err);
 /* Snapped triangle by number; callable from any thread. */
 void svo_bins_record(const svo_bins *b, uint32_t triangle, svo_record *out);
+/* A hint that it will be asked for soon. */
+void svo_bins_fetch(const svo_bins *b, uint32_t triangle);
 void svo_bins_free(svo_bins *b);
 
 #ifdef __cplusplus

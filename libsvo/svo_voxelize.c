@@ -92,6 +92,7 @@ static void mark_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_h
     s->recording = s->it->parts == NULL && r->shader != NULL && r->info->channel_count != 0 && !thin && count < r->most_visits && svo_buffer_reserve(starts, 4 * (count + 1));
     for (uint64_t i = 0; i < count; i++) {
         svo_record record;
+        if (i + 12 < count) svo_bins_fetch(r->bins, list[i + 12]);
         svoi_load_triangle(s, list[i], &record);
         if (s->recording) {
             uint32_t at = (uint32_t)(s->w->visits.size / 4);
