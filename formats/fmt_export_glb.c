@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "fmt_glb.h"
+#include "fmti_glb.h"
 #include "fmt_skel.h"
 
 /* Positions relative to the middle of their box, so that a large offset costs no precision. */

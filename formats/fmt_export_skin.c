@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "fmt_glb.h"
+#include "fmti_glb.h"
 #include "fmt_skel.h"
 
 typedef struct skinned {

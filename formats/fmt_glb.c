@@ -1,4 +1,4 @@
-#include "fmt_glb.h"
+#include "fmti_glb.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -1,6 +1,6 @@
 /* Inside formats: a binary glTF 2.0 file as it is put together. One buffer; views and accessors in order of their making. */
-#ifndef FMT_GLB_H
-#define FMT_GLB_H
+#ifndef FMTI_GLB_H
+#define FMTI_GLB_H
 
 #include <jansson.h>
 
