@@ -373,4 +373,95 @@ TEST(blocks_of_deep_grids)
     }
 }
 
+// The whole set of deep grids against CGAL: small triangles and long slivers all over a grid whose corners two points hold, so that coordinates
+// of every size occur. The same set for another order of triangles, other threads and from ranges of chunks.
+struct Grid { std::vector<double> v; std::vector<uint64_t> expected; };
+
+Grid deep_grid(uint32_t depth, svo_surface surface, uint64_t *seed)
+{
+    Grid g;
+    const double voxel = std::ldexp(1.0, -int(depth));
+    for (int k = 0; k < 3; k++) corner(g.v, 0, 0, 0);
+    for (int k = 0; k < 3; k++) corner(g.v, 1, 1, 1);
+    for (int i = 0; i < 7; i++) {
+        double c[3], size[3];
+        const int along = i - 4;
+        for (int k = 0; k < 3; k++) size[k] = std::min(0.5, (i < 4 ? 1 << i : along == k ? 200 : 1.2) * voxel);
+        for (int k = 0; k < 3; k++) { // everywhere, at the far end, and beside a plane between chunks
+            double where = i % 3 == 0 ? test_random_unit(seed) : i % 3 == 1 ? 1 - voxel : 0.5 - voxel;
+            c[k] = std::min(where, 1 - size[k]);
+        }
+        for (int p = 0; p < 3; p++) {
+            double q[3];
+            for (int k = 0; k < 3; k++) q[k] = c[k] + size[k] * test_random_unit(seed);
+            corner(g.v, q[0], q[1], q[2]);
+        }
+    }
+    const double low[3] = {0, 0, 0};
+    const int32_t n = int32_t(1) << depth;
+    for (size_t t = 0; t < g.v.size() / 9; t++) {
+        int32_t q[3][3], lo[3], hi[3];
+        for (int c = 0; c < 3; c++) snap(&g.v[9 * t + 3 * c], low, voxel, depth, q[c]);
+        for (int k = 0; k < 3; k++) {
+            lo[k] = std::max(0, std::min({q[0][k], q[1][k], q[2][k]}) / 256 - 1);
+            hi[k] = std::min(n - 1, std::max({q[0][k], q[1][k], q[2][k]}) / 256 + 1);
+        }
+        Oracle oracle(q);
+        for (int32_t z = lo[2]; z <= hi[2]; z++)
+            for (int32_t y = lo[1]; y <= hi[1]; y++)
+                for (int32_t x = lo[0]; x <= hi[0]; x++) {
+                    const int32_t a[3] = {x * 256, y * 256, z * 256};
+                    if (surface == SVO_SURFACE_CONSERVATIVE ? oracle.cube(a) : oracle.cross(a)) g.expected.push_back(svo_morton_encode(x, y, z));
+                }
+    }
+    std::sort(g.expected.begin(), g.expected.end());
+    g.expected.erase(std::unique(g.expected.begin(), g.expected.end()), g.expected.end());
+    return g;
+}
+
+std::vector<uint64_t> voxels_of(const std::vector<double> &v, const svo_voxelize_options &o)
+{
+    loose_mesh m;
+    loose_make(&m, v.data(), v.size() / 9);
+    voxel_set s;
+    svo_error err = {};
+    std::vector<uint64_t> codes;
+    if (voxel_run(&m.mesh, &o, true, &s, &err) == SVO_OK && s.ordered) codes.assign(s.codes, s.codes + s.count);
+    voxel_free(&s);
+    loose_free(&m);
+    return codes;
+}
+
+TEST(every_depth)
+{
+    uint64_t seed = 41;
+    for (uint32_t depth = 1; depth <= SVO_MAX_DEPTH && !test_failed(); depth++)
+        for (int surface = 0; surface < 2; surface++) {
+            Grid g = deep_grid(depth, svo_surface(surface), &seed);
+            svo_voxelize_options o = svo_default_voxelize_options();
+            o.depth = depth;
+            o.surface = svo_surface(surface);
+            o.channels = 0;
+            o.threads = 2;
+            std::vector<uint64_t> found = voxels_of(g.v, o);
+            CHECK_U64(g.expected.size(), found.size());
+            CHECK_MSG(found == g.expected, "depth %u, surface %d: other voxels than CGAL's", depth, surface);
+            std::vector<double> turned;
+            for (size_t t = g.v.size() / 9; t-- > 0;)
+                for (int c = 2; c >= 0; c--) turned.insert(turned.end(), &g.v[9 * t + 3 * c], &g.v[9 * t + 3 * c] + 3);
+            o.threads = 1 + depth % 4;
+            CHECK_MSG(voxels_of(turned, o) == found, "depth %u, surface %d: the order of triangles or corners matters", depth, surface);
+            const uint64_t chunks = uint64_t(1) << 3 * svo_chunk_level(depth), cut = found[found.size() / 2] >> 3 * (depth - svo_chunk_level(depth));
+            o.has_range = true;
+            std::vector<uint64_t> parts;
+            for (int i = 0; i < 2; i++) {
+                o.first_code = i == 0 ? 0 : cut;
+                o.end_code = i == 0 ? cut : chunks;
+                std::vector<uint64_t> part = voxels_of(g.v, o);
+                parts.insert(parts.end(), part.begin(), part.end());
+            }
+            CHECK_MSG(parts == found, "depth %u, surface %d: ranges of chunks give something else", depth, surface);
+        }
+}
+
 } // namespace
