@@ -7,6 +7,9 @@
 #define HEAD FMT_FOURCC('H', 'E', 'A', 'D')
 #define NODE FMT_FOURCC('N', 'O', 'D', 'E')
 #define BRCK FMT_FOURCC('B', 'R', 'C', 'K')
+#define LVLS FMT_FOURCC('L', 'V', 'L', 'S')
+#define CODE FMT_FOURCC('C', 'O', 'D', 'E')
+#define TREE FMT_FOURCC('T', 'R', 'E', 'E')
 #define ARAW FMT_FOURCC('A', 'R', 'A', 'W')
 #define ATBL FMT_FOURCC('A', 'T', 'B', 'L')
 #define ADIR FMT_FOURCC('A', 'D', 'I', 'R')
@@ -15,7 +18,7 @@
 enum { HEAD_FIXED = 336, RECORD = 48, NODE_HEAD = 4 /* words */ };
 enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2 };
 
-static const uint32_t known[] = {HEAD, NODE, BRCK, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
+static const uint32_t known[] = {HEAD, NODE, BRCK, LVLS, CODE, TREE, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
 enum { KNOWN = sizeof known / sizeof known[0] };
 
 /* --- writing ----------------------------------------------------------------------------------------------------- */
@@ -72,6 +75,13 @@ static svo_result put_level(fmt_writer *w, const svo_view_level *l, uint32_t lev
     return r;
 }
 
+static svo_result put_best(fmt_writer *w, const svo_view *v, svo_error *err)
+{
+    SVO_TRY(put(w, LVLS, 0, v->brick_level, SVO_BEST_LEVEL_BYTES, v->best_levels, err));
+    SVO_TRY(put(w, CODE, 0, v->best_code_bytes, 1, v->best_codes, err));
+    return put(w, TREE, 0, v->best_stream_bytes, 1, v->best_stream, err);
+}
+
 static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_error *err)
 {
     const svo_view_channel *c = &v->channels[i];
@@ -90,7 +100,8 @@ static svo_result put_all(fmt_writer *w, const svo_view *v, const char *provenan
     fmt_chunk c = {.type = HEAD, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
     SVO_TRY(fmt_writer_chunk(w, &c, head, err));
     if (!v->empty) {
-        for (uint32_t l = 0; l < v->brick_level; l++) SVO_TRY(put_level(w, &v->levels[l], l, err));
+        if (v->layout == SVO_LAYOUT_BEST) SVO_TRY(put_best(w, v, err));
+        else for (uint32_t l = 0; l < v->brick_level; l++) SVO_TRY(put_level(w, &v->levels[l], l, err));
         SVO_TRY(put(w, BRCK, 0, v->brick_count, 8, v->bricks, err));
     }
     for (uint32_t i = 0; i < v->channel_count; i++) SVO_TRY(put_channel(w, v, i, err));
@@ -158,7 +169,7 @@ static svo_result parse_head(reader *r, svo_view *v)
     SVO_TRY(take(r, HEAD, 0, 0, &chunk, &b));
     if (chunk->stored_size < HEAD_FIXED || chunk->element_stride != 0 || chunk->element_count != 0) return bad(r, chunk, "HEAD is too short (DAG-02)");
     uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
-    if (layout != SVO_LAYOUT_PLAIN)
+    if (layout != SVO_LAYOUT_PLAIN && layout != SVO_LAYOUT_BEST)
         return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
     if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
     svo_tree_info info;
@@ -201,7 +212,16 @@ static svo_result parse_geometry(reader *r, svo_view *v)
     const fmt_chunk *chunk;
     const uint8_t *b;
     if (v->empty) return SVO_OK;
-    for (uint32_t l = 0; l < v->brick_level; l++) {
+    if (v->layout == SVO_LAYOUT_BEST) {
+        SVO_TRY(take(r, LVLS, 0, SVO_BEST_LEVEL_BYTES, &chunk, &b));
+        if (chunk->element_count != v->brick_level) return bad(r, chunk, "wrong number of levels (DAG-12)");
+        v->best_levels = (const struct svoi_best_level *)(const void *)b;
+        SVO_TRY(take(r, CODE, 0, 1, &chunk, &v->best_codes));
+        v->best_code_bytes = chunk->stored_size;
+        SVO_TRY(take(r, TREE, 0, 1, &chunk, &v->best_stream));
+        v->best_stream_bytes = chunk->stored_size;
+    }
+    for (uint32_t l = 0; l < v->brick_level && v->layout == SVO_LAYOUT_PLAIN; l++) {
         SVO_TRY(take(r, NODE, l, 4, &chunk, &b));
         if (chunk->element_count < NODE_HEAD) return bad(r, chunk, "too short (DAG-03)");
         if (fmt_load32(b + 4) != 0) return bad(r, chunk, "a reserved field is not 0 (DAG-03)");
@@ -251,6 +271,7 @@ static svo_result parse(reader *r, fmt_svdag *f)
             SVO_TRY(fmt_container_payload(r->c, &r->c->chunks[i], &bytes, r->err));
     }
     SVO_TRY(fmt_container_meta(r->c, f->allocator, &f->provenance, r->err));
+    SVO_TRY(svo_view_prepare(v, f->allocator, r->err));
     return svo_view_validate(v, f->allocator, r->err);
 }
 
@@ -274,6 +295,7 @@ void fmt_svdag_close(fmt_svdag *f)
 {
     if (f == NULL) return;
     fmt_meta_free(f->allocator, f->provenance);
+    svo_view_release(&f->view, f->allocator);
     fmt_container_close(&f->container);
     memset(f, 0, sizeof *f);
 }

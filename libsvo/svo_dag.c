@@ -385,6 +385,14 @@ static void fill_view(const svo_dag_builder *b, svo_view *v)
     for (uint32_t i = 0; i < v->channel_count; i++) v->channels[i].channel = b->info.channels[i];
 }
 
+/* A single brick has nothing to gain: it is always laid out plainly. */
+static svo_result lay_out(svo_dag_builder *b, svo_error *err)
+{
+    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0)
+        return svoi_layout_best(b->packed, b->nodes, &b->bricks, b->options.geometry == SVO_GEOMETRY_SYMMETRIC, b->options.threads, err);
+    return svoi_layout_plain(b->packed, b->nodes, &b->bricks, err);
+}
+
 static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *err)
 {
     svo_packed *p = b->packed;
@@ -402,7 +410,7 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
     if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "geometry");
     double read = svo_seconds();
     report->seconds_read = read - b->started;
-    if (b->has_previous) SVO_TRY(svoi_layout_plain(p, b->nodes, &b->bricks, err));
+    if (b->has_previous) SVO_TRY(lay_out(b, err));
     if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "attributes");
     double geometry = svo_seconds();
     report->seconds_geometry = geometry - read;
@@ -442,6 +450,10 @@ void svo_packed_free(svo_packed *p)
     if (p == NULL) return;
     for (uint32_t i = 0; i < SVO_MAX_DEPTH; i++) svo_buffer_free(&p->words[i]);
     svo_buffer_free(&p->bricks);
+    svo_buffer_free(&p->best_stream);
+    svo_buffer_free(&p->best_levels);
+    svo_buffer_free(&p->best_codes);
+    svo_view_release(&p->view, &p->memory.base);
     for (uint32_t i = 0; i < SVO_MAX_CHANNELS; i++) {
         svo_buffer_free(&p->raw[i]);
         svo_buffer_free(&p->table[i]);

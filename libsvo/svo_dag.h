@@ -8,10 +8,18 @@
 extern "C" {
 #endif
 
+/* What is merged, and how it is laid out. All are lossless and read through svo_view.h. */
+typedef enum svo_geometry {
+    SVO_GEOMETRY_SVDAG,     /* equal subtrees; layout plain */
+    SVO_GEOMETRY_SYMMETRIC, /* subtrees that are equal or mirror images; layout best */
+    SVO_GEOMETRY_BEST,      /* subtrees equal under any of the 48 symmetries of the cube; layout best, the fewest bytes */
+} svo_geometry;
+
 /* How values of a channel are reduced. All zero: lossless. Colours: a table of 2^bits entries clustered in CIELAB
  * (Dado et al. 2016, section 2.4.3); normals: octahedral with bits in all. With a bound instead of bits, every attribute (inner nodes too)
  * is within it. Other kinds are always lossless. */
 typedef struct svo_dag_options {
+    svo_geometry geometry;
     bool lod;              /* give inner nodes the averages of what is below */
     uint32_t color_bits;   /* 0 or 1..16 */
     double color_delta_e;  /* > 0: largest CIE94 difference of any attribute; color_bits must be 0 */

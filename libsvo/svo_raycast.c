@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "svoi_best.h"
+
 /* The kernel walks cells front to back (after Laine and Karras 2010): the current cell is a child slot of the node `ref` of
  * some level; a filled slot is entered, an empty one is left through its nearest far plane. Positions are integers, so
  * the ancestor to return to is known from the highest bit that a step changes. The last two levels are one 64-bit brick
@@ -200,31 +202,79 @@ static bool walk_brick_lod(const line *l, uint64_t brick, const int32_t p[3], do
     return false;
 }
 
-/* The same as svo_view_mask and svo_view_child, without attributes. */
+/* A node on the way down: where it is stored, its children in the world with the full leaves among them in bits 8..15. */
 typedef struct spot {
-    uint32_t at, mask;
+    uint64_t at;
+    uint32_t mask, turn;
 } spot;
 
-INLINE spot plain_spot(const svo_view *v, uint32_t level, uint32_t at)
+/* Blocks of layout best that were met last: neighbouring rays meet the same ones. */
+enum { CACHED_BLOCKS = 64 };
+typedef struct block_cache {
+    uint64_t at[CACHED_BLOCKS]; /* packed; 0: none */
+    svoi_best_block block[CACHED_BLOCKS];
+} block_cache;
+
+static const svoi_best_block *cached_block(block_cache *c, const svo_view *v, uint64_t at)
 {
-    spot s = {at, v->levels[level].words[at]}; /* the mask with the full leaves above it */
+    uint32_t i = (uint32_t)((at * 0x9e3779b97f4a7c15u) >> 58);
+    if (c->at[i] != at) {
+        svoi_best_read_block(v->best, svoi_best_unpack(at), &c->block[i]);
+        c->at[i] = at;
+    }
+    return &c->block[i];
+}
+
+/* The same as svo_view_mask and svo_view_child, without attributes. A child at the bricks' level is the brick itself.
+ * `layout` is a constant of the callers. */
+INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64_t at, uint32_t turn)
+{
+    spot s = {at, 0, turn};
+    if (layout == SVO_LAYOUT_BEST) s.mask = svo_view_best_mask(v, (svo_view_node){.at = at, .symmetry = turn});
+    else s.mask = v->levels[level].words[at];
     return s;
 }
 
-INLINE uint32_t plain_child(const svo_view *v, uint32_t level, spot s, uint32_t octant)
+INLINE uint64_t spot_child(const svo_view *v, block_cache *c, svo_layout layout, uint32_t level, spot s, uint32_t octant, uint32_t *turn)
 {
+    if (layout == SVO_LAYOUT_BEST) {
+        uint32_t stored = svoi_turn_octant(svoi_turn_inverse(s.turn), octant), change;
+        if (level + 1 == v->brick_level) {
+            const svoi_best_block *b = cached_block(c, v, s.at);
+            return svoi_turn_brick(svoi_turn_after(s.turn, b->turn[stored]), b->bits[stored]);
+        }
+        svoi_best_node n = svoi_best_unpack(s.at);
+        svoi_best_head h = svoi_best_read_head(v->best, level, n);
+        svoi_best_node child = svoi_best_child(v->best, level, n, &h, stored, &change);
+        *turn = svoi_turn_after(s.turn, change);
+        return svoi_best_pack(child);
+    }
     uint32_t stored = s.mask & ~(s.mask >> 8) & ((1u << octant) - 1);
-    return v->levels[level].words[s.at + 1 + (uint32_t)__builtin_popcount(stored)];
+    uint32_t child = v->levels[level].words[s.at + 1 + (uint32_t)__builtin_popcount(stored)];
+    return level + 1 == v->brick_level ? v->bricks[child] : child;
 }
 
-/* First node met. `lod` is a constant of the two callers. */
-INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
+/* Inside a full leaf the cells are all there: the first node met is the one that holds the ray at t. */
+static void walk_full(const svo_view *v, const line *l, bool lod, int32_t size, double t, place *found)
+{
+    while (size > 1 && !(lod && size <= (int32_t)1 << v->depth && small_enough(l, size, t))) {
+        size >>= 1;
+        found->tree_level++;
+        for (int k = 0; k < 3; k++) {
+            bool further = plane(l, k, found->corner[k] + size) <= t;
+            if (further != (l->negative >> k & 1)) found->corner[k] += size;
+        }
+    }
+}
+
+/* First node met. `lod` and `layout` are constants of the callers. */
+INLINE bool trace(const svo_view *v, block_cache *c, const line *l, bool lod, svo_layout layout, place *found)
 {
     const uint32_t tree_depth = v->tree_depth, brick_level = v->brick_level;
     const bool stop_brick = v->depth >= 2, stop_octant = v->depth >= 1; /* levels above the root of a small octree are virtual */
     const uint32_t negative = l->negative;
     const double ox = l->o[0], oy = l->o[1], oz = l->o[2], ix = l->inv[0], iy = l->inv[1], iz = l->inv[2];
-    spot stack[SVO_MAX_DEPTH], node = {0, 0};
+    spot stack[SVO_MAX_DEPTH], node = {0, 0, 0};
     uint32_t level = 0, octant = 0; /* the node, and the child that is the current cell */
     int32_t size = (int32_t)1 << tree_depth, p[3] = {0, 0, 0};
     double out[3]; /* far planes of the cell */
@@ -232,7 +282,9 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
     double enter = cell_enter(l, p, size), t = enter > l->t_min ? enter : l->t_min;
     if (!(t < least(out[0], out[1], out[2]) && t <= l->t_max)) return false;
     bool filled = true; /* the root fills its cell */
-    uint32_t child = v->root, child_level = 0;
+    svo_view_node root = svo_view_root(v);
+    uint64_t child = brick_level == 0 ? svo_view_brick(v, root) : root.at;
+    uint32_t child_level = 0, turn = root.symmetry;
 
     for (;;) {
         if (filled) {
@@ -242,8 +294,15 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
                 memcpy(found->corner, p, sizeof p);
                 return true;
             }
-            if (child_level == brick_level) {
-                uint64_t brick = v->bricks[child];
+            if (child_level != 0 && (node.mask >> 8 >> octant & 1) != 0) {
+                if (t < least(out[0], out[1], out[2])) {
+                    found->tree_level = child_level;
+                    memcpy(found->corner, p, sizeof p);
+                    walk_full(v, l, lod, size, t, found);
+                    return true;
+                }
+            } else if (child_level == brick_level) {
+                uint64_t brick = child;
                 uint32_t bit;
                 if (lod && stop_octant && small_enough(l, 2, least(out[0], out[1], out[2]))) {
                     if (walk_brick_lod(l, brick, p, t, out, brick_level, found)) return true;
@@ -259,7 +318,7 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
                 /* go down: the child that holds the ray at t */
                 if (child_level != 0) stack[level] = node;
                 level = child_level;
-                node = plain_spot(v, level, child);
+                node = spot_of(v, layout, level, child, turn);
                 size >>= 1;
                 double cx = ((double)(p[0] + size) - ox) * ix, cy = ((double)(p[1] + size) - oy) * iy,
                        cz = ((double)(p[2] + size) - oz) * iz;
@@ -294,22 +353,25 @@ INLINE bool trace(const svo_view *v, const line *l, bool lod, place *found)
     look:;
         filled = node.mask >> octant & 1;
         child_level = level + 1;
-        if (filled) child = plain_child(v, level, node, octant);
+        if (filled && !(node.mask >> 8 >> octant & 1)) child = spot_child(v, c, layout, level, node, octant, &turn);
     }
 }
 
-static bool find(const svo_view *v, const svo_ray *ray, line *l, place *found)
+static bool find(const svo_view *v, block_cache *c, const svo_ray *ray, line *l, place *found)
 {
     if (!make_line(v, ray, l)) return false;
-    if (l->spread > 0 || l->offset > 0) return trace(v, l, true, found);
-    return trace(v, l, false, found);
+    bool lod = l->spread > 0 || l->offset > 0;
+    if (v->layout == SVO_LAYOUT_BEST) return lod ? trace(v, c, l, true, SVO_LAYOUT_BEST, found) : trace(v, c, l, false, SVO_LAYOUT_BEST, found);
+    return lod ? trace(v, c, l, true, SVO_LAYOUT_PLAIN, found) : trace(v, c, l, false, SVO_LAYOUT_PLAIN, found);
 }
 
 bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
 {
     line l;
     place found;
-    return find(view, ray, &l, &found);
+    block_cache c;
+    memset(c.at, 0, sizeof c.at);
+    return find(view, &c, ray, &l, &found);
 }
 
 /* Attribute index of a node that is known to exist. */
@@ -330,12 +392,14 @@ static uint64_t attribute_of(const svo_view *v, const place *at)
 
 void svo_raycast(const svo_view *view, const svo_ray *rays, uint32_t count, svo_hit *hits)
 {
+    block_cache c;
+    memset(c.at, 0, sizeof c.at);
     for (uint32_t i = 0; i < count; i++) {
         line l;
         place at;
         svo_hit *hit = &hits[i];
         memset(hit, 0, sizeof *hit);
-        if (!find(view, &rays[i], &l, &at)) continue;
+        if (!find(view, &c, &rays[i], &l, &at)) continue;
         uint32_t above = view->tree_depth - at.tree_level;
         int32_t size = (int32_t)1 << above;
         double enter = -INFINITY;

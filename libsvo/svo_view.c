@@ -1,4 +1,4 @@
-#include "svo_view.h"
+#include "svoi_best.h"
 
 #include <string.h>
 
@@ -94,14 +94,21 @@ uint64_t svo_view_stored(const svo_view *v, uint32_t level)
 {
     SVO_ASSERT(level <= v->brick_level);
     if (v->empty) return 0;
-    return level == v->brick_level ? v->brick_count : v->levels[level].node_count;
+    if (level == v->brick_level) return v->brick_count;
+    return v->layout == SVO_LAYOUT_BEST ? v->best_levels[level].nodes : v->levels[level].node_count;
 }
 
 uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECTIONS])
 {
     uint32_t n = 0;
     if (v->empty) return 0;
-    for (uint32_t l = 0; l < v->brick_level; l++) out[n++] = (svo_view_section){"NODE", l, 4 * v->levels[l].word_count};
+    if (v->layout == SVO_LAYOUT_BEST) {
+        out[n++] = (svo_view_section){"LVLS", SVO_MAX_DEPTH + 1, v->brick_level * sizeof *v->best_levels};
+        out[n++] = (svo_view_section){"CODE", SVO_MAX_DEPTH + 1, v->best_code_bytes};
+        out[n++] = (svo_view_section){"TREE", SVO_MAX_DEPTH + 1, v->best_stream_bytes};
+    } else {
+        for (uint32_t l = 0; l < v->brick_level; l++) out[n++] = (svo_view_section){"NODE", l, 4 * v->levels[l].word_count};
+    }
     out[n++] = (svo_view_section){"BRCK", v->brick_level, 8 * v->brick_count};
     return n;
 }
@@ -119,6 +126,14 @@ int svo_view_compare_geometry(const svo_view *a, const svo_view *b)
     COMPARE(a->brick_count, b->brick_count);
     COMPARE(a->root, b->root);
     COMPARE(a->unnumbered, b->unnumbered);
+    if (a->layout == SVO_LAYOUT_BEST) {
+        COMPARE(a->best_stream_bytes, b->best_stream_bytes);
+        COMPARE(a->best_code_bytes, b->best_code_bytes);
+        if ((c = memcmp(a->bricks, b->bricks, (size_t)a->brick_count * 8)) != 0) return c;
+        if ((c = memcmp(a->best_codes, b->best_codes, (size_t)a->best_code_bytes)) != 0) return c;
+        if ((c = memcmp(a->best_levels, b->best_levels, a->brick_level * sizeof *a->best_levels)) != 0) return c;
+        return memcmp(a->best_stream, b->best_stream, (size_t)a->best_stream_bytes);
+    }
     for (uint32_t l = 0; l < a->brick_level; l++) {
         COMPARE(a->levels[l].word_count, b->levels[l].word_count);
         COMPARE(a->levels[l].node_count, b->levels[l].node_count);

@@ -34,13 +34,15 @@
 extern "C" {
 #endif
 
-typedef enum svo_layout { SVO_LAYOUT_PLAIN = 1 } svo_layout;
+typedef enum svo_layout { SVO_LAYOUT_PLAIN = 1, SVO_LAYOUT_BEST = 3 } svo_layout;
 
 typedef struct svo_view_level {
     const uint32_t *words;
     uint64_t word_count, node_count;
     uint32_t offset_words; /* 1 or 2; 0 when attributes are not numbered */
 } svo_view_level;
+
+enum { SVO_BEST_LEVEL_BYTES = 32 };
 
 /* How a channel's values are stored. */
 typedef enum svo_encoding {
@@ -73,8 +75,13 @@ typedef struct svo_view {
     /* layout plain */
     uint32_t root;        /* word index in level 0, or brick index when brick_level == 0 */
     svo_view_level levels[SVO_MAX_DEPTH]; /* levels 0 .. brick_level - 1 */
-    const uint64_t *bricks;
+    const uint64_t *bricks; /* layout best: its dictionary */
     uint64_t brick_count;
+    /* layout best (docs/format/svdag.md): its chunks, and the tables that are made of them once; root is the turn of the root */
+    const uint8_t *best_stream, *best_codes;
+    uint64_t best_stream_bytes, best_code_bytes;
+    const struct svoi_best_level *best_levels; /* 0 .. brick_level - 1, SVO_BEST_LEVEL_BYTES each */
+    struct svoi_best *best;
     uint64_t attribute_count;
     uint64_t nodes[SVO_MAX_DEPTH + 1]; /* octree nodes a level, 0..depth, shared ones counted as often as they appear */
     double voxel_to_world[16];
@@ -90,36 +97,48 @@ typedef struct svo_view_node {
     uint64_t attribute; /* index of the node itself with lod, of its first finest voxel without */
     uint32_t symmetry;  /* takes the frame in which it is stored to the world's: 0 (none) in layout plain */
     bool full;          /* inside a full leaf: every finest voxel is there, and all have this one attribute */
+    uint64_t size;      /* attributes of its subtree, where the layout needs them to number its children */
 } svo_view_node;
+
+/* For layout best. */
+svo_view_node svo_view_best_root(const svo_view *v);
+uint32_t svo_view_best_mask(const svo_view *v, svo_view_node node); /* full leaves in bits 8..15 */
+svo_view_node svo_view_best_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant);
 
 /* The root of an octree that is not empty. */
 static inline svo_view_node svo_view_root(const svo_view *v)
 {
-    svo_view_node n = {v->root, 0, 0, false};
+    if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_root(v);
+    svo_view_node n = {.at = v->root};
     return n;
 }
 
 /* Non-empty children of a node above the bricks. */
 static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, svo_view_node node)
 {
-    return node.full ? 0xff : (uint8_t)v->levels[level].words[node.at];
+    if (node.full) return 0xff;
+    if (v->layout == SVO_LAYOUT_BEST) return (uint8_t)svo_view_best_mask(v, node);
+    return (uint8_t)v->levels[level].words[node.at];
 }
 
 /* Those of its children that are full leaves. */
 static inline uint8_t svo_view_full(const svo_view *v, uint32_t level, svo_view_node node)
 {
-    return node.full ? 0xff : (uint8_t)(v->levels[level].words[node.at] >> 8);
+    if (node.full) return 0xff;
+    if (v->layout == SVO_LAYOUT_BEST) return (uint8_t)(svo_view_best_mask(v, node) >> 8);
+    return (uint8_t)(v->levels[level].words[node.at] >> 8);
 }
 
 /* Child of a node above the bricks. `octant` must be in its mask. */
 static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant)
 {
     if (node.full) return node;
+    if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_child(v, level, node, octant);
     const svo_view_level *l = &v->levels[level];
     const uint32_t *w = l->words + node.at;
     uint32_t mask = w[0] & 0xffu, full = w[0] >> 8, stored = mask & ~full, below = (1u << octant) - 1;
     uint32_t r = (uint32_t)__builtin_popcount(stored), slot = (uint32_t)__builtin_popcount(mask & below);
-    svo_view_node child = {0, node.attribute, 0, (full >> octant & 1) != 0};
+    svo_view_node child = {.attribute = node.attribute, .full = (full >> octant & 1) != 0};
     if (!child.full) child.at = w[1 + (uint32_t)__builtin_popcount(stored & below)];
     if (l->offset_words == 0) return child;
     if (slot == 0) child.attribute += v->lod ? 1 : 0;
@@ -131,7 +150,8 @@ static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, sv
 /* The 4x4x4 block of a node at brick_level. */
 static inline uint64_t svo_view_brick(const svo_view *v, svo_view_node node)
 {
-    return node.full ? ~(uint64_t)0 : v->bricks[node.at];
+    if (node.full) return ~(uint64_t)0;
+    return v->layout == SVO_LAYOUT_PLAIN ? v->bricks[node.at] : node.at;
 }
 
 /* Bit 8a set for every octant a of the brick that is not empty. */
@@ -190,6 +210,11 @@ int svo_view_compare_geometry(const svo_view *a, const svo_view *b);
 
 /* Smallest box of finest voxels, both ends inclusive; *any is false for an empty octree. Linear in the stored nodes. */
 svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool *any, uint32_t low[3], uint32_t high[3], svo_error *err);
+
+/* Make the tables that a layout needs to be traversed (layout best), from the file's own; nothing for others. For views that
+ * were filled in from a file, before svo_view_validate; svo_view_release frees them. */
+svo_result svo_view_prepare(svo_view *v, const svo_allocator *a, svo_error *err);
+void svo_view_release(svo_view *v, const svo_allocator *a);
 
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);

@@ -2,7 +2,7 @@
 #include <string.h>
 
 #include "svo_palette.h"
-#include "svo_view.h"
+#include "svoi_best.h"
 
 /* Where nodes start in a level, and their numbers by rank. */
 typedef struct starts {
@@ -219,15 +219,15 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         v->channel_count > SVO_MAX_CHANNELS)
         return bad(&c, "DAG-02", 0, 0, "depth or number of channels out of range");
     svo_result r = SVO_OK;
-    if (v->layout != SVO_LAYOUT_PLAIN) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
+    if (v->layout != SVO_LAYOUT_PLAIN && v->layout != SVO_LAYOUT_BEST) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
     for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
         if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) return bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered");
     if (v->empty) {
-        bool zero = v->attribute_count == 0 && v->brick_count == 0 && v->root == 0;
+        bool zero = v->attribute_count == 0 && v->brick_count == 0 && v->root == 0 && v->layout == SVO_LAYOUT_PLAIN;
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) zero = zero && v->nodes[l] == 0;
         if (!zero) r = bad(&c, "DAG-07", 0, 0, "an empty octree with nodes");
     } else {
-        r = check_geometry(&c);
+        r = v->layout == SVO_LAYOUT_BEST ? svoi_best_validate(v, a, err) : check_geometry(&c);
     }
     for (uint32_t l = 0; l < SVO_MAX_DEPTH; l++) {
         svo_free(a, c.level[l].bit, c.level[l].words, sizeof *c.level[l].bit);

@@ -140,10 +140,14 @@ struct svo_packed {
     svo_view view;
     svo_buffer words[SVO_MAX_DEPTH], bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
         payload[SVO_MAX_CHANNELS];
+    svo_buffer best_stream, best_levels, best_codes; /* layout best */
 };
 
 /* Layout 1 from the tables of levels 0 .. brick_level - 1, which are freed on the way. */
 svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, svo_error *err);
+
+/* Layout 3 from the same; needs brick_level >= 1. `mirrors`: no other symmetries. */
+svo_result svoi_layout_best(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, bool mirrors, uint32_t threads, svo_error *err);
 
 /* Quantise and encode one channel into the packed view; frees the values. */
 svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,

@@ -8,8 +8,9 @@
 #include "fmt_svo.h"
 #include "svo_dag.h"
 
-enum { GEOMETRY_SVDAG, GEOMETRY_FAST, GEOMETRY_SYMMETRIC, GEOMETRY_BEST };
+enum { GEOMETRY_FAST = 1 };
 static const char *const geometry_names[] = {"svdag", "fast", "symmetric", "best", NULL};
+static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
 static const char *const lod_names[] = {"all", "none", NULL};
 
 typedef struct arguments {
@@ -215,7 +216,7 @@ int main(int argc, char **argv)
     arguments args = {.geometry = GEOMETRY_FAST, .lod = 0, .color = "lossless", .normal = "lossless"};
     const cli_option options[] = {
         {.name = "geometry", .kind = CLI_CHOICE, .value = &args.geometry, .argument = "MODE", .choices = geometry_names,
-         .help = "How geometry is packed: svdag and fast merge equal subtrees and use layout 1; symmetric and best are not in this version."},
+         .help = "How geometry is packed: svdag and fast merge equal subtrees and use layout 1; symmetric merges mirror images as well, best what is equal under the 48 symmetries of the cube; both use layout 3, which takes the fewest bytes."},
         {.name = "color", .kind = CLI_TEXT, .value = &args.color, .argument = "lossless|BITS|deltaE=X",
          .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94."},
         {.name = "normal", .kind = CLI_TEXT, .value = &args.normal, .argument = "lossless|BITS|deg=X",
@@ -236,17 +237,14 @@ int main(int argc, char **argv)
     run r = {.c = &c, .args = &args, .options = svo_default_dag_options()};
     if ((code = cli_take_quality(&c, args.color, args.normal, &r.options)) >= 0) return code;
     r.options.lod = args.lod == 0;
+    r.options.geometry = geometries[args.geometry];
     r.options.threads = (uint32_t)c.threads;
     r.options.memory = c.memory;
     r.options.warnings = &c.warnings;
     r.options.phase = enter_phase;
     r.options.phase_user = &c;
     svo_error err = {0};
-    svo_result result;
-    if (args.geometry == GEOMETRY_SYMMETRIC || args.geometry == GEOMETRY_BEST)
-        result = svo_fail(&err, SVO_UNSUPPORTED, "--geometry %s is not in this version; use fast or svdag", geometry_names[args.geometry]);
-    else
-        result = compress(&r, &err);
+    svo_result result = compress(&r, &err);
     svo_packed_free(r.packed);
     free(r.provenance);
     return cli_end(&c, result, &err);

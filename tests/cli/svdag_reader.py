@@ -9,6 +9,8 @@
 import struct
 import sys
 
+import svdag_best
+
 STRIDE = {1: 3, 2: 4, 3: 1, 4: 2, 5: 4}
 
 
@@ -43,13 +45,17 @@ class Svdag:
         self._head(self._take(b"HEAD", 0))
         self.levels = []
         if not self.empty:
-            for level in range(self.T - 2):
+            if self.layout == 3:
+                levels, code, tree = self._take(b"LVLS", 0), self._take(b"CODE", 0), self._take(b"TREE", 0)
+            for level in range(self.T - 2 if self.layout == 1 else 0):
                 body = self._take(b"NODE", level)
                 ow, zero, count = struct.unpack("<IIQ", body[:16])
                 need(ow in ((0,) if self.unnumbered else (1, 2)) and zero == 0, "DAG-03")
                 self.levels.append((ow, count, struct.unpack("<%dI" % (len(body) // 4 - 4), body[16:])))
             body = self._take(b"BRCK", 0)
             self.bricks = struct.unpack("<%dQ" % (len(body) // 8), body)
+            if self.layout == 3:
+                self.best = svdag_best.Best(levels, code, tree, self.bricks, self)
         for number, c in enumerate(self.channels):
             if c.encoding == 1:
                 c.raw = self._take(b"ARAW", number)
@@ -86,8 +92,8 @@ class Svdag:
         return self.chunks.pop(0)[2]
 
     def _head(self, h):
-        self.depth, layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
-        need(layout == 1 and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
+        self.depth, self.layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
+        need(self.layout in (1, 3) and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
         self.T, self.lod, self.unnumbered = max(self.depth, 2), flags & 1 == 1, flags & 2 == 2
         self.voxel_to_world = struct.unpack("<16d", h[16:144])
         self.A, self.root, zero = struct.unpack("<QII", h[144:160])
@@ -99,8 +105,17 @@ class Svdag:
 
     # --- geometry ---
 
+    def _root(self):
+        return self.best.root if self.layout == 3 else self.root
+
+    def _brick(self, ref):
+        return ref if self.layout == 3 else self.bricks[ref]
+
     def _children(self, level, ref, index):
         """(octant, reference, attribute index) of a node above the bricks."""
+        if self.layout == 3:
+            yield from self.best.children(level, ref, index)
+            return
         ow, _, words = self.levels[level]
         mask = words[ref]
         need(0 < mask < 256, "DAG-04")
@@ -138,7 +153,7 @@ class Svdag:
         """Every node of the tree of depth T. The index is None where a node has no attribute (inner ones without lod)."""
         if self.empty:
             return
-        stack = [(0, self.root, 0, 0, 0, 0)]
+        stack = [(0, self._root(), 0, 0, 0, 0)]
         while stack:
             level, ref, index, x, y, z = stack.pop()
             yield level, x, y, z, index if self.lod else None
@@ -146,7 +161,7 @@ class Svdag:
                 for o, child, i in reversed(list(self._children(level, ref, index))):
                     stack.append((level + 1, child, i, 2 * x + (o & 1), 2 * y + (o >> 1 & 1), 2 * z + (o >> 2)))
                 continue
-            brick = self.bricks[ref]
+            brick = self._brick(ref)
             need(brick != 0, "DAG-04")
             for a in range(8):
                 if not brick >> 8 * a & 255:
@@ -161,7 +176,7 @@ class Svdag:
     def voxel(self, x, y, z):
         if self.empty:
             return None
-        ref, index = self.root, 0
+        ref, index = self._root(), 0
         octant = lambda level: (x >> self.T - 1 - level & 1) + 2 * (y >> self.T - 1 - level & 1) + 4 * (z >> self.T - 1 - level & 1)
         for level in range(self.T - 2):
             found = [(r, i) for o, r, i in self._children(level, ref, index) if o == octant(level)]
@@ -169,7 +184,7 @@ class Svdag:
                 return None
             ref, index = found[0]
         b = 8 * octant(self.T - 2) + octant(self.T - 1)
-        brick = self.bricks[ref]
+        brick = self._brick(ref)
         return self._voxel(brick, index, b) if brick >> b & 1 else None
 
     # --- attributes ---

@@ -1,0 +1,32 @@
+/* Internal to libsvo: parts of the writer of layout 3 (svoi_best.h). Not installed. */
+#ifndef SVOI_BEST_ENCODE_H
+#define SVOI_BEST_ENCODE_H
+
+#include "svoi_best.h"
+
+/* A brick, and the one before it in its block (the number of bricks where it is the first). */
+typedef struct svoi_brick_pair { uint32_t before, brick; } svoi_brick_pair;
+
+/* Divide the bricks into classes 1 .. classes - 2. class_of[i] == classes - 1 stays: such bricks are in no class. False: out
+ * of memory. */
+bool svoi_best_classes(const svo_allocator *a, const svoi_symlevel *bricks, const svoi_brick_pair *pair, uint64_t pairs, uint32_t classes,
+                       uint8_t *class_of);
+
+/* Where the bits of a stream went. */
+typedef struct svoi_best_stats {
+    uint64_t bits[SVOI_CONTEXT_KINDS + 1]; /* symbols by context; the last one: numbers of bricks */
+    uint64_t heads;                        /* of nodes above the blocks, with: */
+    uint64_t skips, counts, references;
+} svoi_best_stats;
+
+/* The chunks of the layout. */
+typedef struct svoi_best_parts {
+    svo_buffer stream, levels, codes, dictionary;
+} svoi_best_parts;
+void svoi_best_parts_free(svoi_best_parts *p);
+
+/* Needs brick_level >= 1. `numbered`: attributes are indexed, sizes of subtrees are written. stats may be NULL.
+ * SVO_OUT_OF_MEMORY without a message. */
+svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats);
+
+#endif
