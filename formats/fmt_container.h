@@ -131,6 +131,8 @@ svo_result fmt_zstd_pool_new(fmt_zstd_pool **out, svo_error *err);
 void fmt_zstd_pool_free(fmt_zstd_pool *p);
 svo_result fmt_zstd_encode(fmt_zstd_pool *p, const void *bytes, size_t size, int level, svo_buffer *to, svo_error *err);
 svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err);
+/* The same to a place with room for decoded_size bytes. */
+svo_result fmt_zstd_decode_to(fmt_zstd_pool *p, const void *stored, size_t stored_size, void *to, uint64_t decoded_size, svo_error *err);
 
 /* Explicit little-endian loads and stores. */
 static inline uint16_t fmt_load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }

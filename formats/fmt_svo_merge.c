@@ -19,7 +19,8 @@ typedef struct merge {
     size_t head_size;
     fmt_writer *writer;
     char *provenance; /* of shard 1 */
-    fmti_full full;
+    fmti_items items;
+    bool has_items;
     bool has_chunks;
     uint64_t previous; /* code at the chunk level where the last item begins */
     fmt_svo_merge_report *report;
@@ -174,15 +175,13 @@ static svo_result copy_chunks(merge *m, fmt_svo_reader *reader, svo_buffer *pack
             uint64_t code = 0;
             fmti_parse_place(fmt_load64(packed->data), level, &leaf, &code); /* fetch has checked it */
             first = code << 3 * (level - leaf);
-            SVO_TRY(fmti_full_add(&m->full, m->writer, packed->data, err));
             svo_counts_ancestors(counts, level, leaf, m->has_chunks, m->previous, first);
             fmti_count_full(counts, leaf, level);
         } else {
-            SVO_TRY(fmti_full_flush(&m->full, m->writer, err));
-            SVO_TRY(fmt_writer_chunk(m->writer, &c, packed->data, err));
             svo_counts_ancestors(counts, level, level, m->has_chunks, m->previous, first);
             counts->chunks++;
         }
+        SVO_TRY(fmti_items_put(&m->items, m->writer, &c, packed->data, err));
         m->has_chunks = true;
         m->previous = first;
     }
@@ -205,7 +204,8 @@ static svo_result copy_shard(merge *m, const entry *e, svo_buffer *packed, svo_e
     if (r == SVO_OK) r = fmt_svo_reader_open(in, m->allocator, &reader, err);
     if (r == SVO_OK) {
         m->report->info = *fmt_svo_reader_info(reader);
-        if (m->full.stride == 0) fmti_full_init(&m->full, &m->report->info, m->allocator);
+        if (!m->has_items) fmti_items_init(&m->items, &m->report->info, m->allocator);
+        m->has_items = true;
         if (fmti_store_head(&m->report->info, head) != m->head_size || memcmp(head, m->head, m->head_size) != 0)
             r = svo_fail(err, SVO_INVALID_DATA, "the file has changed while it was read");
     }
@@ -248,7 +248,7 @@ static svo_result write_all(merge *m, fmt_output *out, svo_error *err)
     }
     svo_buffer_free(&packed);
     SVO_TRY(r);
-    SVO_TRY(fmti_full_flush(&m->full, m->writer, err));
+    SVO_TRY(fmti_items_flush(&m->items, m->writer, err));
     fmt_writer *writer = m->writer;
     m->writer = NULL;
     return fmti_svo_finish(writer, m->report->info.depth, &m->report->counts, m->provenance, err);
@@ -270,7 +270,7 @@ svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *o
     if (r == SVO_OK) r = write_all(&m, out, err);
     m.report->shards = (uint32_t)count;
     fmt_writer_discard(m.writer);
-    fmti_full_free(&m.full);
+    if (m.has_items) fmti_items_free(&m.items);
     if (m.provenance != NULL) svo_free(a, m.provenance, strlen(m.provenance) + 1, 1);
     svo_free(a, m.entries, count, sizeof *m.entries);
     return r;

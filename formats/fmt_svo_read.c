@@ -3,10 +3,12 @@
 #include <string.h>
 
 #include "fmti_svo.h"
+#include "fmti_svo_masks.h"
 
 struct fmt_svo_reader {
     fmt_stream *stream;
     fmt_zstd_pool *pool;
+    fmti_masks_pool *masks;
     const svo_allocator *allocator;
     svo_tree_info info;
     char *provenance;
@@ -18,6 +20,10 @@ struct fmt_svo_reader {
     svo_buffer full;         /* a FULL chunk in hand */
     size_t full_at;
     fmt_chunk full_chunk;
+    svo_buffer group; /* a GRUP chunk in hand: its payload, its subtrees, where the next one's bytes begin */
+    fmt_chunk subtree[FMTI_GROUP_MOST];
+    uint32_t subtrees, subtree_next;
+    size_t group_at;
     svo_tree_counts stat;
     bool has_stat, ended, has_shard;
     fmt_svo_shard shard;
@@ -28,7 +34,7 @@ struct fmt_svo_reader {
     uint64_t decoded_items;
 };
 
-static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_SHRD, FMTI_SVO_TREE, FMTI_SVO_FULL, FMTI_SVO_STAT, FMT_TYPE_META};
+static const uint32_t known_types[] = {FMTI_SVO_HEAD, FMTI_SVO_SHRD, FMTI_SVO_TREE, FMTI_SVO_FULL, FMTI_SVO_GRUP, FMTI_SVO_STAT, FMT_TYPE_META};
 enum { KNOWN = sizeof known_types / sizeof known_types[0] };
 
 /* "SVDAG", not the four bytes, for people. */
@@ -79,11 +85,13 @@ svo_result fmt_svo_reader_open(fmt_input *in, const svo_allocator *a, fmt_svo_re
     }
     r->allocator = a;
     svo_buffer_init(&r->full, a);
+    svo_buffer_init(&r->group, a);
     fmt_kind kind = FMT_KIND_SVO;
     uint16_t major;
     svo_result result = fmt_stream_open(in, a, &r->stream, &kind, &major, err);
     if (result == SVO_OK && kind != FMT_KIND_SVO) result = svo_fail(err, SVO_INVALID_DATA, "this is a %s file; a .svo is needed here", kind_name(kind));
     if (result == SVO_OK) result = fmt_zstd_pool_new(&r->pool, err);
+    if (result == SVO_OK) result = fmti_masks_pool_new(a, &r->masks, err);
     if (result == SVO_OK) result = read_head(r, err);
     if (result != SVO_OK) {
         fmt_svo_reader_close(r);
@@ -161,12 +169,12 @@ static svo_result read_shard(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *
     return SVO_OK;
 }
 
-/* A TREE chunk's header against what is known, before its bytes are read: SVO-05, SVO-06. */
+/* A TREE chunk's header, or what a GRUP chunk says of a subtree, against what is known, before its bytes are read: SVO-05, SVO-06. */
 static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
 {
     uint64_t at = c->offset - 64;
     uint32_t level = svo_chunk_level(r->info.depth), levels = r->info.depth - level;
-    SVO_TRY(need(c, FMT_CODEC_ZSTD, err));
+    if (c->type == FMTI_SVO_TREE) SVO_TRY(need(c, FMT_CODEC_ZSTD, err));
     if (c->id >> 3 * level != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the grid (SVO-05)", (unsigned long long)c->id);
     if (r->has_previous && c->id < r->end)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)c->id, (unsigned long long)r->previous);
@@ -232,6 +240,44 @@ static void count_item(fmt_svo_reader *r)
     pthread_mutex_unlock(&r->lock);
 }
 
+/* Count a subtree whose bytes are in *packed; its description travels behind them. */
+static svo_result give_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *packed, svo_error *err)
+{
+    uint32_t level = svo_chunk_level(r->info.depth);
+    if (svo_buffer_append(packed, c, sizeof *c) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    svo_counts_ancestors(&r->fetched, level, level, r->has_previous, r->previous, c->id);
+    r->fetched.values += c->element_count;
+    r->fetched.chunks++;
+    r->has_previous = true;
+    r->previous = c->id;
+    r->end = c->id + 1;
+    count_item(r);
+    return SVO_OK;
+}
+
+/* A GRUP chunk as a whole, before its subtrees are handed out. */
+static svo_result check_group(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
+{
+    if ((c->flags & FMT_CHUNK_CRITICAL) == 0 || c->codec != FMT_CODEC_NONE || c->element_stride != 0)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "wrong flags, codec or element fields (SVO-01)");
+    SVO_TRY(fmt_stream_payload(r->stream, c, &r->group, err));
+    r->subtrees = r->subtree_next = 0;
+    SVO_TRY(fmti_group_parse(c, &r->group, r->voxel_bytes, r->subtree, &r->subtrees, err));
+    r->group_at = r->group.size;
+    for (uint32_t i = 0; i < r->subtrees; i++) r->group_at -= (size_t)r->subtree[i].stored_size;
+    return SVO_OK;
+}
+
+static svo_result next_subtree(fmt_svo_reader *r, svo_buffer *packed, svo_error *err)
+{
+    const fmt_chunk *c = &r->subtree[r->subtree_next++];
+    SVO_TRY(check_tree(r, c, err));
+    packed->size = 0;
+    if (svo_buffer_append(packed, r->group.data + r->group_at, (size_t)c->stored_size) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    r->group_at += (size_t)c->stored_size;
+    return give_tree(r, c, packed, err);
+}
+
 static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
 {
     if (!r->has_stat) return svo_fail(err, SVO_INVALID_DATA, "the file has no STAT chunk (SVO-01)");
@@ -255,6 +301,11 @@ static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *e
             *more = true;
             return SVO_OK;
         }
+        if (r->subtree_next < r->subtrees) {
+            SVO_TRY(next_subtree(r, packed, err));
+            *more = true;
+            return SVO_OK;
+        }
         SVO_TRY(fmt_stream_next(r->stream, &c, &any, err));
         if (!any) {
             *more = false;
@@ -272,18 +323,12 @@ static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *e
             if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "TREE after STAT (SVO-01)");
             SVO_TRY(check_tree(r, &c, err));
             SVO_TRY(fmt_stream_payload(r->stream, &c, packed, err));
-            /* the chunk's description travels behind its bytes */
-            if (svo_buffer_append(packed, &c, sizeof c) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
-            uint32_t level = svo_chunk_level(r->info.depth);
-            svo_counts_ancestors(&r->fetched, level, level, r->has_previous, r->previous, c.id);
-            r->fetched.values += c.element_count;
-            r->fetched.chunks++;
-            r->has_previous = true;
-            r->previous = c.id;
-            r->end = c.id + 1;
-            count_item(r);
+            SVO_TRY(give_tree(r, &c, packed, err));
             *more = true;
             return SVO_OK;
+        } else if (c.type == FMTI_SVO_GRUP) {
+            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "GRUP after STAT (SVO-01)");
+            SVO_TRY(check_group(r, &c, err));
         } else if (c.type == FMTI_SVO_FULL) {
             if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "FULL after STAT (SVO-01)");
             SVO_TRY(check_full(r, &c, err));
@@ -373,6 +418,22 @@ size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk)
     return stored;
 }
 
+/* The two streams of a subtree of a GRUP chunk to the payload of a TREE chunk. */
+static svo_result decode_apart(fmt_svo_reader *r, const fmt_chunk *c, const uint8_t *bytes, svo_buffer *storage, svo_error *err)
+{
+    uint64_t values = c->element_count * r->voxel_bytes, masks = c->decoded_size - 16 - values;
+    if ((masks == 0) != (r->info.depth == 0) || (masks == 0 && c->element_stride != 0))
+        return svo_fail(err, SVO_INVALID_DATA, "%llu masks at depth %u (SVO-07)", (unsigned long long)masks, r->info.depth);
+    fmt_store64(storage->data, masks);
+    fmt_store64(storage->data + 8, c->element_count);
+    if (masks != 0)
+        SVO_TRY(fmti_masks_decode(r->masks, r->info.depth - svo_chunk_level(r->info.depth), bytes, c->element_stride, storage->data + 16, masks, err));
+    if (values != 0)
+        SVO_TRY(fmt_zstd_decode_to(r->pool, bytes + c->element_stride, (size_t)(c->stored_size - c->element_stride), storage->data + 16 + masks, values, err));
+    storage->size = (size_t)c->decoded_size;
+    return SVO_OK;
+}
+
 static svo_result decode_tree(fmt_svo_reader *r, const fmt_chunk *chunk, const svo_buffer *packed, size_t stored, svo_buffer *storage, svo_chunk *out,
                               svo_error *err)
 {
@@ -382,7 +443,8 @@ static svo_result decode_tree(fmt_svo_reader *r, const fmt_chunk *chunk, const s
     if (!svo_buffer_reserve(storage, (size_t)size + 1))
         return fmt_chunk_fail(err, SVO_OUT_OF_MEMORY, c.type, at, "no memory for %llu decoded bytes", (unsigned long long)size);
     svo_error inner = {0};
-    svo_result result = fmt_zstd_decode(r->pool, packed->data, stored, c.decoded_size, storage, &inner);
+    svo_result result = c.type == FMTI_SVO_GRUP ? decode_apart(r, &c, packed->data, storage, &inner)
+                                                : fmt_zstd_decode(r->pool, packed->data, stored, c.decoded_size, storage, &inner);
     if (result != SVO_OK) return fmt_chunk_fail(err, result, c.type, at, "%s", inner.message);
     uint64_t masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8);
     if (voxels != c.element_count || masks != c.decoded_size - 16 - voxels * r->voxel_bytes)
@@ -425,6 +487,8 @@ void fmt_svo_reader_close(fmt_svo_reader *r)
     if (r == NULL) return;
     fmt_stream_close(r->stream);
     fmt_zstd_pool_free(r->pool);
+    fmti_masks_pool_free(r->masks);
+    svo_buffer_free(&r->group);
     fmt_meta_free(r->allocator, r->provenance);
     svo_buffer_free(&r->full);
     pthread_mutex_destroy(&r->lock);

@@ -2,17 +2,19 @@
 #include <string.h>
 
 #include "fmti_svo.h"
+#include "fmti_svo_masks.h"
 
 struct fmt_svo_writer {
     fmt_writer *writer;
     fmt_zstd_pool *pool;
+    fmti_masks_pool *masks; /* NULL: everything goes through zstd */
     const svo_allocator *allocator;
     svo_tree_info info;
     char *provenance;
     int level;
     uint32_t voxel_bytes;
     svo_tree_counts counts;
-    fmti_full full;
+    fmti_items items;
     bool has_previous;
     uint64_t previous, end; /* codes at the chunk level that the last item covers: previous .. end - 1 */
 };
@@ -36,14 +38,9 @@ svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, cons
     w->info = *info;
     w->level = level != 0 ? level : 3;
     w->voxel_bytes = fmti_voxel_bytes(info);
-    fmti_full_init(&w->full, info, a);
+    fmti_items_init(&w->items, info, a);
     svo_result r = SVO_OK;
-    if (provenance != NULL && provenance[0] != 0) {
-        size_t n = strlen(provenance) + 1;
-        w->provenance = svo_alloc(a, n, 1);
-        if (w->provenance != NULL) memcpy(w->provenance, provenance, n);
-        else r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance");
-    }
+    if (provenance != NULL && provenance[0] != 0) r = fmti_svo_set_provenance(w, provenance, err);
     if (r == SVO_OK) r = fmt_zstd_pool_new(&w->pool, err);
     if (r == SVO_OK) r = fmt_writer_begin(out, FMT_KIND_SVO, 1, 0, &w->writer, err);
     if (r == SVO_OK) {
@@ -67,6 +64,22 @@ svo_result fmt_svo_writer_shard(fmt_svo_writer *w, const fmt_svo_shard *shard, s
     fmti_store_shard(shard, bytes);
     fmt_chunk c = {.type = FMTI_SVO_SHRD, .stored_size = sizeof bytes, .decoded_size = sizeof bytes};
     return fmt_writer_chunk(w->writer, &c, bytes, err);
+}
+
+svo_result fmt_svo_writer_small(fmt_svo_writer *w, svo_error *err)
+{
+    SVO_ASSERT(!w->has_previous);
+    return w->masks == NULL ? fmti_masks_pool_new(w->allocator, &w->masks, err) : SVO_OK;
+}
+
+svo_result fmti_svo_set_provenance(fmt_svo_writer *w, const char *provenance, svo_error *err)
+{
+    size_t n = strlen(provenance) + 1;
+    if (w->provenance != NULL) svo_free(w->allocator, w->provenance, strlen(w->provenance) + 1, 1);
+    w->provenance = svo_alloc(w->allocator, n, 1);
+    if (w->provenance == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance");
+    memcpy(w->provenance, provenance, n);
+    return SVO_OK;
 }
 
 /* Values of one channel to byte planes. */
@@ -105,6 +118,21 @@ static svo_result fill_record(fmt_svo_writer *w, const svo_chunk *chunk, blob *b
     return ok ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a full leaf");
 }
 
+/* Masks through the context model, values through zstd. */
+static svo_result code_apart(fmt_svo_writer *w, const uint8_t *plain, uint64_t size, uint64_t masks, svo_buffer *to, uint64_t *coded, svo_error *err)
+{
+    uint64_t values = 16 + masks;
+    svo_buffer zipped;
+    svo_buffer_init(&zipped, w->allocator);
+    svo_result r = SVO_OK;
+    if (masks != 0) r = fmti_masks_encode(w->masks, w->info.depth - svo_chunk_level(w->info.depth), plain + 16, masks, to, err);
+    *coded = to->size;
+    if (r == SVO_OK && size != values) r = fmt_zstd_encode(w->pool, plain + values, (size_t)(size - values), w->level, &zipped, err);
+    if (r == SVO_OK && zipped.size != 0 && svo_buffer_append(to, zipped.data, zipped.size) == NULL) r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    svo_buffer_free(&zipped);
+    return r;
+}
+
 static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, svo_error *err)
 {
     const svo_tree_info *info = &w->info;
@@ -131,10 +159,13 @@ static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, 
         to_planes(chunk->channels[i], chunk->value_count, stride, at);
         at += stride * chunk->value_count;
     }
-    if (r == SVO_OK) r = fmt_zstd_encode(w->pool, plain, (size_t)size, w->level, &b->stored, err);
+    uint64_t coded = 0;
+    if (r == SVO_OK && w->masks != NULL) r = code_apart(w, plain, size, chunk->node_count, &b->stored, &coded, err);
+    else if (r == SVO_OK) r = fmt_zstd_encode(w->pool, plain, (size_t)size, w->level, &b->stored, err);
     svo_free(w->allocator, plain, size, 1);
     if (r != SVO_OK) return r;
-    b->chunk = (fmt_chunk){.type = FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL, .codec = FMT_CODEC_ZSTD, .stored_size = b->stored.size,
+    b->chunk = (fmt_chunk){.type = w->masks != NULL ? FMTI_SVO_GRUP : FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL,
+                           .codec = w->masks != NULL ? FMT_CODEC_NONE : FMT_CODEC_ZSTD, .stored_size = b->stored.size, .element_stride = (uint32_t)coded,
                            .decoded_size = size, .element_count = chunk->value_count, .id = chunk->code};
     return SVO_OK;
 }
@@ -180,12 +211,7 @@ static svo_result commit(void *user, void *p, svo_error *err)
     svo_result r = SVO_OK;
     if (w->has_previous && b->first < w->end)
         r = svo_fail(err, SVO_RUNTIME, "chunks were given out of order: %llx after %llx", (unsigned long long)b->first, (unsigned long long)w->previous);
-    if (r == SVO_OK && b->chunk.type == FMTI_SVO_FULL) {
-        r = fmti_full_add(&w->full, w->writer, b->stored.data, err);
-    } else if (r == SVO_OK) {
-        r = fmti_full_flush(&w->full, w->writer, err);
-        if (r == SVO_OK) r = fmt_writer_chunk(w->writer, &b->chunk, b->stored.data, err);
-    }
+    if (r == SVO_OK) r = fmti_items_put(&w->items, w->writer, &b->chunk, b->stored.data, err);
     if (r == SVO_OK) {
         svo_counts_ancestors(&w->counts, svo_chunk_level(w->info.depth), b->level, w->has_previous, w->previous, b->first);
         svo_counts_add(&w->counts, &b->counts);
@@ -221,7 +247,7 @@ svo_result fmti_svo_finish(fmt_writer *w, uint32_t depth, const svo_tree_counts 
 
 svo_result fmt_svo_writer_end(fmt_svo_writer *w, svo_tree_counts *counts, svo_error *err)
 {
-    svo_result r = fmti_full_flush(&w->full, w->writer, err);
+    svo_result r = fmti_items_flush(&w->items, w->writer, err);
     if (r != SVO_OK) {
         fmt_svo_writer_discard(w);
         return r;
@@ -239,7 +265,8 @@ void fmt_svo_writer_discard(fmt_svo_writer *w)
     if (w == NULL) return;
     fmt_writer_discard(w->writer);
     fmt_zstd_pool_free(w->pool);
-    fmti_full_free(&w->full);
+    fmti_items_free(&w->items);
+    fmti_masks_pool_free(w->masks);
     if (w->provenance != NULL) svo_free(w->allocator, w->provenance, strlen(w->provenance) + 1, 1);
     svo_free(w->allocator, w, 1, sizeof *w);
 }

@@ -89,9 +89,9 @@ svo_result fmt_zstd_encode(fmt_zstd_pool *p, const void *bytes, size_t size, int
     return SVO_OK;
 }
 
-svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err)
+/* Is it one frame of decoded_size bytes? Before memory is taken for them. */
+static svo_result check_frame(const uint8_t *b, size_t stored_size, uint64_t decoded_size, svo_error *err)
 {
-    const uint8_t *b = stored;
     /* A block of a frame takes at least 4 bytes and gives at most 128 KiB. */
     if (decoded_size / ((128u << 10) / 4) > stored_size)
         return svo_fail(err, SVO_INVALID_DATA, "%zu bytes cannot decode to %llu (CON-10)", stored_size, (unsigned long long)decoded_size);
@@ -99,15 +99,28 @@ svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_s
         return svo_fail(err, SVO_INVALID_DATA, "the payload is not one zstd frame (CON-10)");
     if (ZSTD_getFrameContentSize(b, stored_size) != decoded_size)
         return svo_fail(err, SVO_INVALID_DATA, "the zstd frame does not hold the %llu bytes it should (CON-10)", (unsigned long long)decoded_size);
-    to->size = 0;
-    if (!svo_buffer_reserve(to, (size_t)decoded_size + 1)) /* + 1: never a NULL pointer */
-        return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %llu decoded bytes", (unsigned long long)decoded_size);
+    return SVO_OK;
+}
+
+svo_result fmt_zstd_decode_to(fmt_zstd_pool *p, const void *stored, size_t stored_size, void *to, uint64_t decoded_size, svo_error *err)
+{
+    SVO_TRY(check_frame(stored, stored_size, decoded_size, err));
     ZSTD_DCtx *c = take_decoder(p);
     if (c == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a zstd context");
-    size_t n = ZSTD_decompressDCtx(c, to->data, (size_t)decoded_size, b, stored_size);
+    size_t n = ZSTD_decompressDCtx(c, to, (size_t)decoded_size, stored, stored_size);
     give_decoder(p, c);
     if (ZSTD_isError(n)) return svo_fail(err, SVO_INVALID_DATA, "zstd cannot decode the payload: %s (CON-10)", ZSTD_getErrorName(n));
     if (n != decoded_size) return svo_fail(err, SVO_INVALID_DATA, "zstd decodes %zu bytes instead of %llu (CON-10)", n, (unsigned long long)decoded_size);
-    to->size = n;
+    return SVO_OK;
+}
+
+svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_size, uint64_t decoded_size, svo_buffer *to, svo_error *err)
+{
+    SVO_TRY(check_frame(stored, stored_size, decoded_size, err));
+    to->size = 0;
+    if (!svo_buffer_reserve(to, (size_t)decoded_size + 1)) /* + 1: never a NULL pointer */
+        return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %llu decoded bytes", (unsigned long long)decoded_size);
+    SVO_TRY(fmt_zstd_decode_to(p, stored, stored_size, to->data, decoded_size, err));
+    to->size = (size_t)decoded_size;
     return SVO_OK;
 }

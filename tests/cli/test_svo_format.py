@@ -8,6 +8,7 @@ import struct
 import sys
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+import masks_reader
 import support
 from support import check, run
 
@@ -144,9 +145,55 @@ def coordinates(code, depth):
     return tuple(sum((code >> (3 * j + axis) & 1) << j for j in range(depth)) for axis in range(3))
 
 
+PRIOR = None
+
+
+def varint(p, at):
+    v = shift = 0
+    while True:
+        v |= (p[at] & 127) << shift
+        shift += 7
+        at += 1
+        if p[at - 1] < 128:
+            return v, at
+
+
+def ungroup(chunks):
+    """GRUP chunks as the TREE chunks that they stand for."""
+    global PRIOR
+    depth, level, _, records = head(chunks[0][5])
+    size = sum(SIZES[r[1]] for r in records if not r[2])
+    for kind, flags, elements, stride, code, p in chunks:
+        if kind != "GRUP":
+            yield kind, flags, elements, stride, code, p
+            continue
+        if PRIOR is None:
+            masks_reader.set_tables(masks_reader.knots_of((support.source / "docs/format/masks.md").read_text(encoding="utf-8")))
+            PRIOR = masks_reader.make_prior()
+        check(1 <= p[0] <= 64 and flags == 1 and stride == 0, "GRUP")
+        subtrees, at = [], 1
+        for _ in range(p[0]):
+            low, zipped = p[at], 0
+            m, at = varint(p, at + 1)
+            n, at = varint(p, at)
+            coded, at = varint(p, at)
+            if size:
+                zipped, at = varint(p, at)
+            subtrees.append((low, m, n, coded, zipped))
+        check(code & 63 == subtrees[0][0] and elements == sum(t[2] for t in subtrees), "GRUP")
+        for low, m, n, coded, zipped in subtrees:
+            masks = masks_reader.decode(PRIOR, depth - level, p[at:at + coded], m) if m else b""
+            at += coded
+            values = unzstd(p[at:at + zipped], n * size) if size else b""
+            at += zipped
+            yield "TREE", 1, n, 0, code >> 6 << 6 | low, struct.pack("<QQ", m, n) + masks + values
+        check(at == len(p), "bytes left over")
+
+
 def read_svo(b):
     chunks = container(b)
-    check(chunks[0][0] == "HEAD" and [c[0] for c in chunks if c[0] not in ("TREE", "FULL", "META")] == ["HEAD", "STAT"], "order")
+    chunks = list(ungroup(chunks))
+    check(chunks[0][0] == "HEAD" and [c[0] for c in chunks if c[0] not in ("TREE", "GRUP", "FULL", "META")] == ["HEAD", "STAT"], "order")
     depth, level, matrix, records = head(chunks[0][5])
     varying = [r for r in records if not r[2]]
     voxels, nodes, end, roots, trees, leaves, all_values = {}, [0] * (depth + 1), 0, [], 0, 0, 0
@@ -228,6 +275,18 @@ def test_small_octrees(folder):
     for mesh, depth in (("s", 0), ("s", 1), ("s", 2), ("c", 5), ("s", 6), ("q", 8)):
         out = folder / ("%s%d.svo" % (mesh, depth))
         run("svo-voxelize", folder / (mesh + ".obj"), "-o", out, "--depth", depth)
+        compare(folder, out)
+
+
+def test_small_form(folder):
+    if not support.have("svo-voxelize"):
+        support.skip("svo-voxelize is not built")
+    support.sphere_obj(folder / "s.obj", rings=12)
+    support.cube_obj(folder / "c.obj", color=(0.2, 0.5, 1))
+    support.quad_obj(folder / "q.obj")
+    for mesh, depth, more in (("s", 0, ()), ("s", 1, ()), ("c", 5, ()), ("s", 6, ("--attributes", "none")), ("q", 8, ())):
+        out = folder / ("%s%d.svo" % (mesh, depth))
+        run("svo-voxelize", folder / (mesh + ".obj"), "-o", out, "--depth", depth, "--disk", "small", *more)
         compare(folder, out)
 
 

@@ -71,14 +71,15 @@ static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, cons
     return result;
 }
 
-static void run(uint32_t depth, uint32_t style, uint32_t rounds)
+static void run_form(uint32_t depth, uint32_t style, uint32_t rounds, bool small)
 {
     uint64_t seed = 100 + depth;
     tree t;
     tree_random(&t, depth, style, &seed);
     svo_buffer file;
     svo_buffer_init(&file, NULL);
-    tree_write(&t, 1, &file, NULL);
+    if (small) tree_write_small(&t, 1, &file, NULL);
+    else tree_write(&t, 1, &file, NULL);
     tree_free(&t);
     if (test_failed()) return;
     hostile_case c = {.read = read_svo, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = seed};
@@ -86,13 +87,20 @@ static void run(uint32_t depth, uint32_t style, uint32_t rounds)
     svo_buffer_free(&file);
 }
 
+static void run(uint32_t depth, uint32_t style, uint32_t rounds) { run_form(depth, style, rounds, false); }
+
+TEST(damaged_small_single_voxel) { run_form(0, 2, 500, true); }
+TEST(damaged_small_without_channels) { run_form(6, 0, 500, true); }
+TEST(damaged_small_corners_of_a_deep_tree) { run_form(21, 2, 300, true); }
+TEST(damaged_small_clusters_with_all_channels) { run_form(9, 1, 200, true); }
+
 TEST(damaged_single_voxel) { run(0, 2, 0); }
 TEST(damaged_without_channels) { run(6, 0, 0); }
 TEST(damaged_corners_of_a_deep_tree) { run(21, 2, 0); }
 TEST(damaged_clusters_with_all_channels) { run(9, 1, 1000); }
 
 /* Full leaves inside a chunk, of chunks and above them, in runs. */
-TEST(damaged_full_leaves)
+static void run_full_leaves(bool small, uint32_t rounds)
 {
     static const uint8_t masks[] = {0x03, 0x00, 0x81, 0x00, 0x01, 0x01, 0x03, 0x00, 0x03, 0x00, 0x05};
     static const uint8_t values[] = {1, 2, 3, 4, 5, 6};
@@ -107,6 +115,7 @@ TEST(damaged_full_leaves)
     fmt_svo_writer *w;
     CHECK_OK(fmt_output_open_memory(&file, &out, &err));
     CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+    if (small) CHECK_OK(fmt_svo_writer_small(w, &err));
     svo_chunk_sink s = fmt_svo_writer_sink(w);
     for (size_t i = 0; i < sizeof items / sizeof items[0]; i++) {
         svo_chunk c = {.code = items[i].code, .level = items[i].level, .depth = 10, .value_count = 1, .channels = {values}};
@@ -117,7 +126,10 @@ TEST(damaged_full_leaves)
     }
     CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
     CHECK_OK(fmt_output_commit(out, &err));
-    hostile_case c = {.read = read_svo, .bytes = file.data, .size = file.size, .rounds = 3000, .seed = 9};
+    hostile_case c = {.read = read_svo, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = 9};
     hostile_run(&c);
     svo_buffer_free(&file);
 }
+
+TEST(damaged_full_leaves) { run_full_leaves(false, 3000); }
+TEST(damaged_small_full_leaves) { run_full_leaves(true, 500); }
