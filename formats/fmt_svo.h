@@ -59,6 +59,17 @@ typedef struct fmt_svo_merge_report {
 svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a,
                          fmt_svo_merge_report *report, svo_error *err);
 
+/* Write an octree, or a shard of one, again in the fast or the small form: the bytes are those that its maker would have written in that form
+ * with the same level. HEAD, SHRD and META stay. counts and info may be NULL. */
+typedef struct fmt_svo_recode_options {
+    bool small;
+    int level; /* zstd's, 0 = 3 */
+    uint32_t threads;
+    const svo_allocator *allocator;
+} fmt_svo_recode_options;
+svo_result fmt_svo_recode(fmt_input *in, fmt_output *out, const fmt_svo_recode_options *options, svo_tree_counts *counts, svo_tree_info *info,
+                          svo_error *err);
+
 #ifdef __cplusplus
 }
 #endif

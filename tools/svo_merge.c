@@ -64,17 +64,44 @@ static void report(cli *c, const fmt_svo_merge_report *m, uint64_t bytes)
     cli_put_u64(out, "voxels", m->counts.nodes[m->info.depth]);
 }
 
-static svo_result run(cli *c, const char *list, svo_error *err)
+static const char *const disks[] = {"fast", "small", NULL};
+
+typedef struct tool_options {
+    const char *list;
+    int disk;
+    bool has_disk;
+    uint64_t level;
+} tool_options;
+
+/* One octree to another form. */
+static svo_result recode(cli *c, const tool_options *o, const char *path, fmt_output *out, const svo_allocator *a, fmt_svo_merge_report *m, svo_error *err)
+{
+    fmt_input *in = NULL;
+    fmt_svo_recode_options r = {.small = o->disk != 0, .level = (int)o->level, .threads = (uint32_t)c->threads, .allocator = a};
+    SVO_TRY(fmt_input_open(path, &in, err));
+    svo_error inner = {0};
+    svo_result result = fmt_svo_recode(in, out, &r, &m->counts, &m->info, &inner);
+    if (result != SVO_OK) svo_fail(err, result, "%.90s: %s", path, inner.message);
+    m->shards = 1;
+    m->bytes_read = fmt_input_offset(in);
+    fmt_input_close(in);
+    return result;
+}
+
+static svo_result run(cli *c, const tool_options *o, svo_error *err)
 {
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     names n = {0};
     fmt_output *out = NULL;
-    fmt_svo_merge_report m;
-    cli_phase(c, "merge");
-    svo_result r = collect(c, list, &n, err);
+    fmt_svo_merge_report m = {0};
+    cli_phase(c, o->has_disk ? "recode" : "merge");
+    svo_result r = collect(c, o->list, &n, err);
+    if (r == SVO_OK && o->has_disk && n.count != 1)
+        r = svo_fail(err, SVO_INVALID_ARGUMENT, "--disk takes one octree; merge the shards first");
     if (r == SVO_OK) r = fmt_output_open(c->output, c->force, &out, err);
-    if (r == SVO_OK) r = fmt_svo_merge(n.list, n.count, out, &limit.base, &m, err);
+    if (r == SVO_OK && o->has_disk) r = recode(c, o, n.list[0], out, &limit.base, &m, err);
+    else if (r == SVO_OK) r = fmt_svo_merge(n.list, n.count, out, &limit.base, &m, err);
     if (r == SVO_OK) {
         report(c, &m, fmt_output_offset(out));
         r = fmt_output_commit(out, err);
@@ -94,15 +121,18 @@ static svo_result run(cli *c, const char *list, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    const char *list = NULL;
+    tool_options o = {.level = 3};
     cli_option options[] = {
-        {.name = "list", .kind = CLI_TEXT, .value = &list, .argument = "FILE", .no_default = true,
+        {.name = "list", .kind = CLI_TEXT, .value = &o.list, .argument = "FILE", .no_default = true,
          .help = "Names of more shards, one a line; - is stdin. For more of them than a command line holds."},
+        {.name = "disk", .kind = CLI_CHOICE, .value = &o.disk, .choices = disks, .argument = "FORM", .seen = &o.has_disk, .no_default = true,
+         .help = "Write the one octree (or shard) that is given again, fast to read or small."},
+        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level with --disk (zstd)."},
     };
     cli_tool tool = {
         .name = "svo-merge",
         .summary = "Join the shards of a voxelization to one octree.",
-        .synopsis = "SHARD... -o OUT.svo [options]",
+        .synopsis = "SHARD... -o OUT.svo [options]\n       svo-merge IN.svo -o OUT.svo --disk fast|small",
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "Takes all the files that svo-voxelize --shard 1/N to N/N wrote, in any order, and writes the bytes that one run without --shard would have "
@@ -115,8 +145,8 @@ int main(int argc, char **argv)
     cli c;
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
-    if (c.input_count == 0 && list == NULL) return cli_usage(&c, "no input given");
+    if (c.input_count == 0 && o.list == NULL) return cli_usage(&c, "no input given");
     svo_error err = {0};
-    svo_result r = run(&c, list, &err);
+    svo_result r = run(&c, &o, &err);
     return cli_end(&c, r, &err);
 }
