@@ -19,20 +19,19 @@ uint32_t svo_channel_stride(uint32_t kind)
  * that encoding needs no transcendental function and is the same on every machine. Generated from the definition:
  * c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055)^2.4, rounded to float. */
 #include "svo_srgb_table.inc"
+#include "svo_srgb_bucket.inc"
 
 float svo_srgb_to_linear(uint8_t v) { return svoi_srgb_linear[v]; }
 
 uint8_t svo_linear_to_srgb(float v)
 {
-    if (!(v > 0)) return 0; /* NaN too */
-    /* the answer: number of thresholds that are <= v; a fit of the curve by square roots is off by few */
+    /* the answer: number of thresholds that are <= v */
+    if (!(v >= 0x1p-13f)) return 0; /* below the first; NaN too */
     if (!(v < 1)) return 255;
-    float a = sqrtf(v), b = sqrtf(a), c = sqrtf(b);
-    int guess = (int)(255 * (0.6620027f * a + 0.6841221f * b - 0.3235836f * c - 0.02254115f * v) + 0.5f);
-    guess = guess < 0 ? 0 : guess > 255 ? 255 : guess;
-    while (guess > 0 && !(svoi_srgb_threshold[guess - 1] <= v)) guess--;
-    while (guess < 255 && svoi_srgb_threshold[guess] <= v) guess++;
-    return (uint8_t)guess;
+    uint32_t bits;
+    memcpy(&bits, &v, sizeof bits);
+    uint32_t guess = svoi_srgb_bucket[(bits >> 16) - 0x3900];
+    return (uint8_t)(guess + (guess < 255 && svoi_srgb_threshold[guess] <= v));
 }
 
 static int16_t load16(const uint8_t *p) { return (int16_t)(uint16_t)(p[0] | p[1] << 8); }

@@ -1,30 +1,10 @@
-#include "svo_shade.h"
+#include "svoi_shade.h"
 
 #include <math.h>
 #include <string.h>
 
 #include "svo_raster.h"
 #include "svo_task.h"
-#include "svo_texture.h"
-
-enum { BASE, OPACITY, EMISSIVE, METALLIC_ROUGHNESS }; /* svo_facet.texture */
-
-typedef struct shade_material {
-    svo_material m;
-    const svo_pyramid *base, *opacity, *emissive, *metallic_roughness; /* NULL: not read */
-    bool alpha_matters; /* colours are weighted by alpha (MASK, BLEND) */
-} shade_material;
-
-struct svo_shader {
-    const svo_placement *placement;
-    const svo_allocator *allocator;
-    svo_grid grid;
-    svo_shade_layout layout;
-    shade_material *materials; /* material_count + 1: the last is the default */
-    svo_pyramid *pyramids;     /* 3 an image, by svo_texel; levels 0: not built */
-    bool *mirrored;            /* by instance: the transform turns triangles inside out */
-    uint32_t image_count, material_count, instance_count; /* of the arrays above */
-};
 
 /* --- set up --------------------------------------------------------------------------------------------------- */
 
@@ -146,20 +126,20 @@ void svo_shader_free(svo_shader *s)
 
 /* --- triangles ------------------------------------------------------------------------------------------------ */
 
-static const shade_material *material_of(const svo_shader *s, uint32_t material)
-{
-    uint32_t count = s->placement->mesh->material_count;
-    return &s->materials[material < count ? material : count];
-}
-
-bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool *masks)
+bool svo_facet_is_masked(const svo_shader *s, uint32_t group)
 {
     const svo_part *part = s->placement->groups[group].part;
-    const shade_material *m = material_of(s, part->material);
+    const shade_material *m = svoi_material_of(s, part->material);
+    return m->m.alpha_mode == SVO_ALPHA_MASK && (m->base != NULL || m->opacity != NULL || part->colors != NULL || m->m.base_color[3] < m->m.alpha_cutoff);
+}
+
+/* Is it the same everywhere? */
+static bool is_flat(const svo_shader *s, const svo_part *part, uint64_t local, bool masks)
+{
+    const shade_material *m = svoi_material_of(s, part->material);
     const svo_shade_layout *l = &s->layout;
-    *masks = m->m.alpha_mode == SVO_ALPHA_MASK && (m->base != NULL || m->opacity != NULL || part->colors != NULL || m->m.base_color[3] < m->m.alpha_cutoff);
     if (m->base != NULL || m->opacity != NULL || m->emissive != NULL || m->metallic_roughness != NULL) return false;
-    if (part->colors != NULL && (l->color < SVO_MAX_CHANNELS || *masks)) return false;
+    if (part->colors != NULL && (l->color < SVO_MAX_CHANNELS || masks)) return false;
     if (part->normals != NULL && l->normal < SVO_MAX_CHANNELS) {
         const uint32_t *index = part->indices + 3 * local;
         const float *a = part->normals + 3 * (uint64_t)index[0], *b = part->normals + 3 * (uint64_t)index[1], *c = part->normals + 3 * (uint64_t)index[2];
@@ -207,7 +187,8 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
     out->part = g->part;
     out->instance = g->instance;
     out->material = g->part->material;
-    out->flat = svo_facet_is_flat(s, group, local, &out->masks);
+    out->masks = svo_facet_is_masked(s, group);
+    out->flat = is_flat(s, g->part, local, out->masks);
     memcpy(out->vertex, g->part->indices + 3 * local, sizeof out->vertex);
     svo_vec3 v[3];
     svo_placement_world(s->placement, g, local, v);
@@ -248,7 +229,7 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
 
 bool svo_facet_reads_textures(const svo_shader *s, const svo_facet *t)
 {
-    const shade_material *m = material_of(s, t->material);
+    const shade_material *m = svoi_material_of(s, t->material);
     return m->base != NULL || m->opacity != NULL || m->emissive != NULL || m->metallic_roughness != NULL;
 }
 
@@ -295,7 +276,7 @@ void svo_polygon_slab(const svo_polygon *in, uint32_t axis, double low, svo_poly
 }
 
 /* Where on the triangle a point (on its plane, or near) is. */
-static void barycentric(const svo_facet *t, const double p[3], double b[3])
+void svoi_barycentric(const svo_facet *t, const double p[3], double b[3])
 {
     double n = t->normal[t->axis];
     if (n == 0) {
@@ -372,160 +353,23 @@ uint64_t svo_piece_weight(const svo_piece *piece, uint32_t shift)
     return weight >= 1 ? (uint64_t)weight : 1;
 }
 
-/* --- reading textures ----------------------------------------------------------------------------------------- */
-
-static const svo_facet_texture *facet_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p)
-{
-    svo_facet_texture *f = &t->texture[slot];
-    if (f->ready) return f;
-    f->ready = true;
-    const float *set = t->part->uvs[how->uv_set];
-    for (int k = 0; k < 3; k++) {
-        double u = set != NULL ? set[2 * (uint64_t)t->vertex[k]] : 0, v = set != NULL ? set[2 * (uint64_t)t->vertex[k] + 1] : 0;
-        f->corner[k][0] = (how->transform[0] * u + how->transform[1] * v + how->transform[2]) * p->width[0];
-        f->corner[k][1] = (how->transform[3] * u + how->transform[4] * v + how->transform[5]) * p->height[0];
-        /* what no texture can mean must not spread through the arithmetic */
-        for (int i = 0; i < 2; i++)
-            if (!(fabs(f->corner[k][i]) < 1e12)) f->corner[k][i] = 0;
-    }
-    double e[2], g[2];
-    for (int i = 0; i < 2; i++) {
-        e[i] = f->corner[1][i] - f->corner[0][i];
-        g[i] = f->corner[2][i] - f->corner[0][i];
-        f->per_x[i] = e[i] * t->per_x[0] + g[i] * t->per_x[1];
-        f->per_y[i] = e[i] * t->per_y[0] + g[i] * t->per_y[1];
-    }
-    return f;
-}
-
-/* Texel coordinates at a point of the facet. Points of a clipped polygon are inside; others are brought there. */
-static void texel_at(const svo_facet *t, const svo_facet_texture *f, const double p[3], bool inside, double out[2])
-{
-    if (inside && t->normal[t->axis] != 0) {
-        double x = p[(t->axis + 1) % 3] - t->corner[0][(t->axis + 1) % 3], y = p[(t->axis + 2) % 3] - t->corner[0][(t->axis + 2) % 3];
-        for (int i = 0; i < 2; i++) out[i] = f->corner[0][i] + x * f->per_x[i] + y * f->per_y[i];
-        return;
-    }
-    double b[3];
-    barycentric(t, p, b);
-    for (int i = 0; i < 2; i++) out[i] = b[0] * f->corner[0][i] + b[1] * f->corner[1][i] + b[2] * f->corner[2][i];
-}
-
-/* Taps that have the variance `rest` together when they are spread evenly, `count` of them. */
-static double spacing(double rest, uint32_t count) { return count > 1 && rest > 0 ? sqrt(12 * rest / ((double)count * count - 1)) : 0; }
-
-static uint32_t taps_for(double width, uint32_t most)
-{
-    if (width < 0.6) return 1;
-    double n = ceil(width * (1 / 1.25));
-    return n < 2 ? 2 : n < most ? (uint32_t)n : most;
-}
-
-/* Average of a texture over a piece: readings of one mip level, on a lattice along the long and the short axis of the piece's
- * footprint in the texture. Readings, with the filter that is in the level, have the covariance of the footprint, so that the average is
- * right for every image that varies at most quadratically over it. The level follows from the short axis. */
-static void read_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_piece *piece, float out[4])
-{
-    enum { MOST = 16 };
-    const svo_facet_texture *f = facet_texture(t, slot, how, p);
-    double at[2], width = 1.0 / p->width[0], height = 1.0 / p->height[0];
-    texel_at(t, f, piece->centre, t->clips, at);
-    /* covariance in texels, its two variances and the direction of the larger */
-    const double a = f->per_x[0], b = f->per_y[0], c = f->per_x[1], d = f->per_y[1];
-    double uu = a * a * piece->xx + 2 * a * b * piece->xy + b * b * piece->yy, vv = c * c * piece->xx + 2 * c * d * piece->xy + d * d * piece->yy;
-    double uv = a * c * piece->xx + (a * d + b * c) * piece->xy + b * d * piece->yy;
-    double middle = 0.5 * (uu + vv), half = 0.5 * (uu - vv), root = sqrt(half * half + uv * uv);
-    double large = middle + root, small = middle - root > 0 ? middle - root : 0;
-    if (!(large > 0.03)) { /* narrower than 0.6 texels (or not a number) */
-        svo_pyramid_sample(p, how, at[0] * width, at[1] * height, 0, out);
-        return;
-    }
-    double x = uv, y = large - uu;
-    if (uu > vv) x = large - vv, y = uv;
-    double norm = sqrt(x * x + y * y);
-    x = norm > 0 ? x / norm : 1;
-    y = norm > 0 ? y / norm : 0;
-    const double length = sqrt(12 * large), breadth = sqrt(12 * small);
-    /* A level of texels of size s has a variance of (s^2 - 1) / 4 (box and tent, less that of the image itself), which has to fit
-     * into the footprint: s <= breadth / sqrt(3), or a little more; larger where the number of readings asks for it. */
-    uint32_t level = 0, m = 0, n = 0;
-    double size = 1;
-    for (;; level++, size *= 2) {
-        m = taps_for(breadth / size, 4);
-        n = taps_for(length / size, MOST / m);
-        if (level + 1 >= p->levels) break;
-        if (2 * size <= 0.58 * breadth) continue;
-        if (length <= 1.6 * size * (MOST / m)) break;
-    }
-    if (how->nearest && level == 0) { /* hard edges between texels: more readings */
-        m = m < 4 ? m + 2 : m;
-        n = n < 4 ? n + 2 : n;
-    }
-    const double inherent = (size * size - 1) * 0.25, step = spacing(large - inherent, n), across = spacing(small - inherent, m);
-    float sum[4] = {0, 0, 0, 0};
-    for (uint32_t i = 0; i < n; i++)
-        for (uint32_t j = 0; j < m; j++) {
-            float texel[4];
-            const double r = (i - 0.5 * (n - 1)) * step, q = (j - 0.5 * (m - 1)) * across;
-            svo_pyramid_sample(p, how, (at[0] + r * x - q * y) * width, (at[1] + r * y + q * x) * height, level, texel);
-            for (int k = 0; k < 4; k++) sum[k] += texel[k];
-        }
-    for (int k = 0; k < 4; k++) out[k] = sum[k] / (float)(n * m);
-}
-
-/* Colours are stored times alpha. Where the readings met only what is hidden, the colour is that of the nearest level that has one. */
-static void unmultiply(svo_facet *t, const svo_texture *how, const svo_pyramid *p, const svo_piece *piece, float texel[4])
-{
-    float colour[4] = {texel[0], texel[1], texel[2], texel[3]};
-    for (uint32_t level = 1; !(colour[3] > 0) && level < p->levels; level++) {
-        double at[2];
-        texel_at(t, facet_texture(t, BASE, how, p), piece->centre, t->clips, at);
-        svo_pyramid_sample(p, how, at[0] / p->width[0], at[1] / p->height[0], level, colour);
-    }
-    for (int i = 0; i < 3; i++) texel[i] = colour[3] > 0 ? colour[i] / colour[3] : 0;
-}
-
-/* Largest alpha (red for a linear image) that a texture has anywhere in the polygon. */
-static double most_alpha(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_polygon *polygon, const double centre[3])
-{
-    const svo_facet_texture *f = facet_texture(t, slot, how, p);
-    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY}, most = 0, width = p->width[0], height = p->height[0];
-    bool color = p->kind == SVO_TEXEL_COLOR_ALPHA;
-    for (uint32_t k = 0; k <= polygon->count; k++) {
-        double at[2];
-        float texel[4];
-        texel_at(t, f, k == polygon->count ? centre : polygon->at[k], polygon->count > 0, at);
-        svo_pyramid_sample(p, how, at[0] / width, at[1] / height, 0, texel);
-        double alpha = (double)(color ? texel[3] : texel[0]);
-        if (alpha > most) most = alpha;
-        for (int i = 0; i < 2; i++) {
-            if (at[i] < low[i]) low[i] = at[i];
-            if (at[i] > high[i]) high[i] = at[i];
-        }
-    }
-    /* Smaller than a texel: the readings above have seen it all. Larger: look at every texel. */
-    if (!color || (high[0] - low[0] <= 1 && high[1] - low[1] <= 1)) return most;
-    double texels = (double)svo_pyramid_most_alpha(p, how, low[0] / width, high[0] / width, low[1] / height, high[1] / height);
-    return texels > most ? texels : most;
-}
-
 /* --- contributions -------------------------------------------------------------------------------------------- */
 
 bool svo_facet_visible(const svo_shader *s, svo_facet *t, const svo_polygon *polygon, const int32_t cell[3])
 {
     if (!t->masks) return true;
-    const shade_material *m = material_of(s, t->material);
+    const shade_material *m = svoi_material_of(s, t->material);
     double centre[3], b[3];
     centre_of(t, polygon, cell, centre);
     double alpha = m->m.base_color[3];
     if (t->part->colors != NULL) {
-        barycentric(t, centre, b);
+        svoi_barycentric(t, centre, b);
         double vertex = 0;
         for (int k = 0; k < 3; k++) vertex += b[k] * t->part->colors[4 * (uint64_t)t->vertex[k] + 3];
         alpha *= vertex;
     }
-    if (m->base != NULL) alpha *= most_alpha(t, BASE, &m->m.base_color_texture, m->base, polygon, centre);
-    if (m->opacity != NULL) alpha *= most_alpha(t, OPACITY, &m->m.opacity_texture, m->opacity, polygon, centre);
+    if (m->base != NULL) alpha *= svoi_most_alpha(t, BASE, &m->m.base_color_texture, m->base, polygon, centre);
+    if (m->opacity != NULL) alpha *= svoi_most_alpha(t, OPACITY, &m->m.opacity_texture, m->opacity, polygon, centre);
     return alpha >= m->m.alpha_cutoff;
 }
 
@@ -556,10 +400,10 @@ void svo_contribution_weigh(svo_contribution *c, uint64_t weight)
 
 void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *piece, uint32_t shift, svo_contribution *out)
 {
-    const shade_material *m = material_of(s, t->material);
+    const shade_material *m = svoi_material_of(s, t->material);
     const svo_shade_layout *l = &s->layout;
     double b[3];
-    barycentric(t, piece->centre, b);
+    svoi_barycentric(t, piece->centre, b);
     memset(out, 0, sizeof *out);
     out->alpha = 1;
     if (l->color < SVO_MAX_CHANNELS) {
@@ -572,13 +416,13 @@ void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *
         }
         if (m->base != NULL) {
             float texel[4];
-            read_texture(t, BASE, &m->m.base_color_texture, m->base, piece, texel);
-            if (m->alpha_matters) unmultiply(t, &m->m.base_color_texture, m->base, piece, texel);
+            svoi_read_texture(t, BASE, &m->m.base_color_texture, m->base, piece, texel);
+            if (m->alpha_matters) svoi_unmultiply(t, &m->m.base_color_texture, m->base, piece, texel);
             for (int i = 0; i < 4; i++) c[i] *= texel[i];
         }
         if (m->opacity != NULL) {
             float texel[4];
-            read_texture(t, OPACITY, &m->m.opacity_texture, m->opacity, piece, texel);
+            svoi_read_texture(t, OPACITY, &m->m.opacity_texture, m->opacity, piece, texel);
             c[3] *= texel[0];
         }
         for (int i = 0; i < 3; i++) out->color[i] = to16(c[i]);
@@ -587,12 +431,12 @@ void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *
     if (l->normal < SVO_MAX_CHANNELS) normal_at(t, b, out->normal);
     if (l->emissive < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->emissive != NULL) read_texture(t, EMISSIVE, &m->m.emissive_texture, m->emissive, piece, texel);
+        if (m->emissive != NULL) svoi_read_texture(t, EMISSIVE, &m->m.emissive_texture, m->emissive, piece, texel);
         for (int i = 0; i < 3; i++) out->emissive[i] = to16((double)m->m.emissive[i] * (double)texel[i]);
     }
     if (l->metallic < SVO_MAX_CHANNELS || l->roughness < SVO_MAX_CHANNELS) {
         float texel[4] = {1, 1, 1, 1};
-        if (m->metallic_roughness != NULL) read_texture(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, piece, texel);
+        if (m->metallic_roughness != NULL) svoi_read_texture(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, piece, texel);
         out->roughness = to16((double)m->m.roughness * (double)texel[1]);
         out->metallic = to16((double)m->m.metallic * (double)texel[2]);
     }

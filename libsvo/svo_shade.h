@@ -63,8 +63,8 @@ typedef struct svo_facet {
 
 /* `block` is the low corner of the block, in voxels; q the snapped corners relative to it. */
 void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const double block[3], const int32_t q[3][3], svo_facet *out);
-/* The same without geometry: only flat and masks are meaningful. */
-bool svo_facet_is_flat(const svo_shader *s, uint32_t group, uint64_t local, bool *masks);
+/* Have the triangles of a group alpha MASK with something to test? */
+bool svo_facet_is_masked(const svo_shader *s, uint32_t group);
 
 /* A convex polygon. */
 typedef struct svo_polygon { uint32_t count; double at[10][3]; } svo_polygon;

@@ -16,21 +16,21 @@ static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_O
 
 /* --- a chunk's voxels ----------------------------------------------------------------------------------------- */
 
-/* Remember the voxels of a row for the passes to come; give up where memory or the limit does not allow it. */
-static void record_row(svoi_scan *s, const svo_raster_row *row)
+/* Room for the codes of a row's voxels; NULL where they are not remembered. */
+static uint32_t *record(svoi_scan *s)
 {
-    if (!s->recording) return;
-    size_t count = 0;
-    for (int32_t u = row->u0; u <= row->u1; u++) count += row->lo[u] <= row->hi[u] ? (size_t)(row->hi[u] - row->lo[u] + 1) : 0;
+    enum { MOST_IN_ROW = SVO_RASTER_SIZE * SVO_RASTER_SIZE };
     svo_buffer *v = &s->w->visits;
-    if (v->size / 4 + count > s->r->most_visits || !svo_buffer_reserve(v, 4 * count)) {
+    if (!s->recording) return NULL;
+    if (v->size / 4 + MOST_IN_ROW > s->r->most_visits || (v->capacity - v->size < 4 * MOST_IN_ROW && !svo_buffer_reserve(v, 4 * MOST_IN_ROW))) {
         s->recording = false;
-        return;
+        return NULL;
     }
-    uint32_t *out = (uint32_t *)(void *)(v->data + v->size);
-    for (int32_t u = row->u0; u <= row->u1; u++)
-        for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) *out++ = svoi_packed(row, u, w);
-    v->size += 4 * count;
+    return (uint32_t *)(void *)(v->data + v->size);
+}
+static void recorded(svoi_scan *s, const uint32_t *end)
+{
+    if (end != NULL) s->w->visits.size = (size_t)((const uint8_t *)end - s->w->visits.data);
 }
 
 /* Mark voxels in which something of the triangle is visible. */
@@ -38,10 +38,12 @@ static void mark_masked(void *user, const svo_raster_row *row)
 {
     svoi_scan *s = user;
     svo_block *b = s->w->block;
+    uint32_t *out = record(s);
     for (int32_t u = row->u0; u <= row->u1; u++) {
         uint32_t column = svo_block_column(b, row, u);
         for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
             uint32_t code = column | b->spread[row->w][w];
+            if (out != NULL) *out++ = code;
             uint64_t bit = (uint64_t)1 << (code & 63);
             int32_t cell[3];
             cell[row->u] = u;
@@ -56,19 +58,35 @@ static void mark_masked(void *user, const svo_raster_row *row)
             }
         }
     }
-    record_row(s, row);
+    recorded(s, out);
 }
 
 static void mark_plain(void *user, const svo_raster_row *row) { svo_block_mark(((svoi_scan *)user)->w->block, row); }
-static void mark_flat(void *user, const svo_raster_row *row)
+static void mark_shaded(void *user, const svo_raster_row *row) { svo_block_mark_shaded(((svoi_scan *)user)->w->block, row); }
+
+/* Mark voxels; those that were marked before have to be averaged. */
+static void mark_met(void *user, const svo_raster_row *row)
 {
-    svo_block_mark_flat(((svoi_scan *)user)->w->block, row);
-    record_row(user, row);
-}
-static void mark_shaded(void *user, const svo_raster_row *row)
-{
-    svo_block_mark_shaded(((svoi_scan *)user)->w->block, row);
-    record_row(user, row);
+    svoi_scan *s = user;
+    svo_block *b = s->w->block;
+    uint32_t *out = record(s);
+    if (out == NULL) {
+        svo_block_mark_flat(b, row);
+        return;
+    }
+    const uint32_t *along = b->spread[row->w];
+    for (int32_t u = row->u0; u <= row->u1; u++) {
+        uint32_t column = svo_block_column(b, row, u);
+        for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
+            uint32_t code = column | along[w];
+            uint64_t old = b->bricks[code >> 6], bit = (uint64_t)1 << (code & 63);
+            *out++ = code;
+            if (old == 0) b->used[code >> 12] |= (uint64_t)1 << (code >> 6 & 63);
+            b->bricks[code >> 6] = old | bit;
+            b->complex[code >> 6] |= old & bit;
+        }
+    }
+    recorded(s, out);
 }
 
 svo_result svoi_enter_part(svoi_scan *s, uint32_t number, svo_error *err)
@@ -100,10 +118,9 @@ static void mark_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_h
         }
         svo_raster_row_fn fn = mark_plain;
         if (r->shader != NULL) {
-            bool masks, flat = svo_facet_is_flat(r->shader, record.group, list[i] - r->placement.groups[record.group].first, &masks);
             /* In the thin set a voxel's surface may belong to triangles that did not mark it: average them all. */
-            fn = flat && !thin ? mark_flat : mark_shaded;
-            if (masks) {
+            fn = thin ? mark_shaded : mark_met;
+            if (r->masks && svo_facet_is_masked(r->shader, record.group)) {
                 svoi_load_facet(s, list[i], &record);
                 fn = mark_masked;
             }
@@ -367,6 +384,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     if (result != SVO_OK || r->sample_count == 0) return result;
     double started = svo_seconds();
     result = svoi_samples_measure(r, threads, err);
+    if (result == SVO_OUT_OF_MEMORY) result = SVO_OK, report->reference_voxels = 0; /* the octree is complete without it */
     report->seconds_reference = svo_seconds() - started;
     return result;
 }

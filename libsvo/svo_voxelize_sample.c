@@ -43,17 +43,15 @@ static svoi_sample *find(const svoi_scan *s, uint32_t code)
     return bsearch(&key, s->sample, s->sample_count, sizeof key, by_code);
 }
 
-static void count_voxel(svoi_scan *s, uint32_t voxel, uint32_t code)
+static void count_voxel(svoi_scan *s, uint32_t code)
 {
-    (void)voxel;
     svoi_sample *at = find(s, code);
     if (at != NULL) at->count++;
 }
 
 /* `first` runs through the sample's triangles. */
-static void note_voxel(svoi_scan *s, uint32_t voxel, uint32_t code)
+static void note_voxel(svoi_scan *s, uint32_t code)
 {
-    (void)voxel;
     svoi_sample *at = find(s, code);
     if (at != NULL && at->count <= SVOI_REFERENCE_TRIANGLES) memcpy(s->it->samples.triangles.data + 4 * at->first++, &s->triangle, 4);
 }

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "svo_morton.h"
+
 static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while averaging attributes"); }
 
 void svoi_load_triangle(const svoi_scan *s, uint32_t triangle, svo_record *record)
@@ -17,8 +19,7 @@ void svoi_load_facet(svoi_scan *s, uint32_t triangle, const svo_record *record)
     svo_facet_make(s->r->shader, record->group, triangle - s->r->placement.groups[record->group].first, block, (const int32_t(*)[3])record->q, &s->facet);
     s->whole.count = 3;
     memcpy(s->whole.at, s->facet.corner, sizeof s->facet.corner);
-    s->flat_ready = s->flat_encoded = false;
-    s->moments = svo_facet_reads_textures(s->r->shader, &s->facet);
+    s->flat_ready = false;
 }
 
 /* Is something of the facet visible in a voxel? */
@@ -43,7 +44,7 @@ static void visit_row(void *user, const svo_raster_row *row)
         uint32_t column = svo_block_column(b, row, u);
         for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
             uint32_t code = column | b->spread[row->w][w];
-            if (b->bricks[code >> 6] >> (code & 63) & 1) v->fn(v->s, svoi_packed(row, u, w), code); /* not: not in the thin set, or masked away */
+            if (b->bricks[code >> 6] >> (code & 63) & 1) v->fn(v->s, code); /* not: not in the thin set, or masked away */
         }
     }
 }
@@ -59,8 +60,8 @@ static inline void visit_voxels(svoi_scan *s, uint64_t i, const svo_record *reco
     const svo_block *b = s->w->block;
     const uint32_t *starts = (const uint32_t *)(const void *)s->w->starts.data, *visits = (const uint32_t *)(const void *)s->w->visits.data;
     for (uint32_t at = starts[i]; at < starts[i + 1]; at++) {
-        uint32_t code = svoi_code_of(b, visits[at]);
-        if (b->bricks[code >> 6] >> (code & 63) & 1) fn(s, visits[at], code);
+        uint32_t code = visits[at];
+        if (b->bricks[code >> 6] >> (code & 63) & 1) fn(s, code);
     }
 }
 
@@ -69,111 +70,89 @@ void svoi_visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const
     visit_voxels(s, i, record, box_lo, box_hi, fn);
 }
 
-/* Piece number `at` of the batch. */
-static void piece_of(const svoi_scan *s, uint32_t at, svo_piece *out)
+/* Does alpha MASK leave something of the facet in a voxel? */
+static inline bool left(svoi_scan *s, uint32_t code)
 {
-    const svo_facet *t = &s->facet;
-    const svoi_clip_batch *b = &s->batch;
-    const uint32_t i = (t->axis + 1) % 3, j = (t->axis + 2) % 3;
-    if (t->inside) {
-        svo_facet_piece(t, out);
-    } else if (t->clips) {
-        *out = (svo_piece){.area = (double)b->area[at]};
-        out->centre[i] = (double)b->cx[at];
-        out->centre[j] = (double)b->cy[at];
-        if (s->moments) out->xx = (double)b->xx[at], out->xy = (double)b->xy[at], out->yy = (double)b->yy[at];
-    } else { /* a segment or a point */
-        *out = (svo_piece){.area = 0};
-        out->centre[i] = (double)b->x[at] + 0.5;
-        out->centre[j] = (double)b->y[at] + 0.5;
-        out->centre[t->axis] = (double)b->z[at] + 0.5;
+    if (!s->facet.masks) return true;
+    uint32_t x, y, z;
+    svo_morton_decode(code, &x, &y, &z);
+    const int32_t cell[3] = {(int32_t)x, (int32_t)y, (int32_t)z};
+    return svoi_visible(s, cell);
+}
+
+static inline bool push(svoi_lanes *l, uint32_t code, uint32_t target)
+{
+    l->code[l->count] = code;
+    l->target[l->count] = target;
+    return ++l->count == SVOI_LANES;
+}
+
+/* What a flat facet contributes wherever it is. */
+static const svo_contribution *flat_contribution(svoi_scan *s)
+{
+    if (!s->flat_ready) {
+        svo_piece piece;
+        svo_facet_piece(&s->facet, &piece);
+        svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &s->flat);
+        s->flat_ready = true;
     }
+    return &s->flat;
 }
 
-/* Put a voxel of the facet into the batch. False when alpha MASK leaves nothing of the facet there. */
-static inline bool collect(svoi_scan *s, uint32_t voxel, uint64_t *target)
+/* Voxels that the facet shares with others: to the sums. */
+static void flush_shared(svoi_scan *s)
 {
-    const int32_t cell[3] = {(int32_t)(voxel & 255), (int32_t)(voxel >> 8 & 255), (int32_t)(voxel >> 16)};
-    if (s->facet.masks && !svoi_visible(s, cell)) return false;
-    static const uint8_t next[5] = {0, 1, 2, 0, 1};
-    uint32_t n = s->pending++;
-    s->batch.x[n] = (float)cell[next[s->facet.axis + 1]];
-    s->batch.y[n] = (float)cell[next[s->facet.axis + 2]];
-    s->batch.z[n] = (float)cell[s->facet.axis];
-    s->target[n] = target;
-    return true;
-}
-
-/* Add what waits to the sums. */
-static void flush(svoi_scan *s)
-{
-    if (s->pending == 0) return;
-    if (s->facet.clips) svoi_clip(&s->facet.clipper, &s->batch, s->pending, s->moments);
-    svo_piece piece;
-    for (uint32_t n = 0; n < s->pending; n++) {
-        piece_of(s, n, &piece);
-        if (s->facet.flat) {
-            if (!s->flat_ready) svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &s->flat);
-            s->flat_ready = true;
-            svo_contribution c = s->flat;
-            svo_contribution_weigh(&c, svo_piece_weight(&piece, s->shift));
-            svo_shade_add(s->layout, &c, s->target[n]);
-        } else {
-            svo_contribution c;
-            svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &c);
-            svo_shade_add(s->layout, &c, s->target[n]);
-        }
+    svoi_lanes *l = &s->shared;
+    if (l->count == 0) return;
+    if (s->facet.flat) {
+        svoi_lanes_areas(&s->facet, l);
+        svoi_lanes_add_flat(s->layout, flat_contribution(s), l, s->shift, s->sums);
+    } else {
+        svoi_lanes_values(s->r->shader, &s->facet, l);
+        svoi_lanes_add(s->r->shader, &s->facet, l, s->shift, s->sums);
     }
-    s->pending = 0;
+    l->count = 0;
 }
 
-/* The same for a material's weight alone. */
+/* Voxels that it has alone: to their values. */
+static void flush_alone(svoi_scan *s)
+{
+    svoi_lanes *l = &s->alone;
+    if (l->count == 0) return;
+    if (s->facet.flat) {
+        svoi_lanes_write_flat(s->layout, flat_contribution(s), l, s->channels);
+    } else {
+        svoi_lanes_values(s->r->shader, &s->facet, l);
+        svoi_lanes_write(s->layout, l, s->channels);
+    }
+    l->count = 0;
+}
+
+/* A material's weight alone. */
 static void flush_weights(svoi_scan *s)
 {
-    if (s->pending == 0) return;
-    if (s->facet.clips) svoi_clip(&s->facet.clipper, &s->batch, s->pending, false);
-    svo_piece piece;
-    for (uint32_t n = 0; n < s->pending; n++) {
-        piece_of(s, n, &piece);
-        *s->target[n] += svo_piece_weight(&piece, s->shift);
-    }
-    s->pending = 0;
+    svoi_lanes *l = &s->shared;
+    if (l->count == 0) return;
+    svoi_lanes_areas(&s->facet, l);
+    svoi_lanes_add_areas(l, s->shift, s->sums);
+    l->count = 0;
 }
 
-static void write_values(svoi_scan *s, uint64_t index, uint8_t (*values)[SVO_MAX_STRIDE])
+static inline void shade_voxel(svoi_scan *s, uint32_t code)
 {
-    for (uint32_t k = 0; k < s->written_count; k++) {
-        uint32_t c = s->written[k];
-        memcpy(s->channels[c] + index * s->stride[c], values[c], s->stride[c]);
-    }
-}
-
-static inline void shade_voxel(svoi_scan *s, uint32_t voxel, uint32_t code)
-{
-    svo_block *b = s->w->block;
+    const svo_block *b = s->w->block;
     if (b->complex[code >> 6] >> (code & 63) & 1) {
         uint64_t index = svo_block_complex_index(b, code);
-        if (index < s->slice_begin || index >= s->slice_end) return;
-        if (collect(s, voxel, s->sums + (index - s->slice_begin) * s->layout->fields) && s->pending == SVOI_CLIP_BATCH) flush(s);
-    } else if (s->first_slice) {
-        if (!s->flat_encoded) {
-            uint64_t sums[32] = {0};
-            svo_piece piece;
-            svo_contribution c;
-            svo_facet_piece(&s->facet, &piece);
-            svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &c);
-            svo_contribution_weigh(&c, 1);
-            svo_shade_add(s->layout, &c, sums);
-            svo_shade_value(s->layout, sums, s->flat_values);
-            s->flat_encoded = true;
-        }
-        write_values(s, svo_block_index(b, code), s->flat_values);
+        if (index < s->slice_begin || index >= s->slice_end || !left(s, code)) return;
+        if (push(&s->shared, code, (uint32_t)(index - s->slice_begin))) flush_shared(s);
+    } else if (s->first_slice && !s->facet.masks) { /* voxels that a masked facet is seen in are averaged */
+        if (push(&s->alone, code, svo_block_index(b, code))) flush_alone(s);
     }
 }
 
-static inline void weigh_voxel(svoi_scan *s, uint32_t voxel, uint32_t code)
+static inline void weigh_voxel(svoi_scan *s, uint32_t code)
 {
-    if (collect(s, voxel, s->sums + svo_block_index(s->w->block, code)) && s->pending == SVOI_CLIP_BATCH) flush_weights(s);
+    if (left(s, code) && push(&s->shared, code, svo_block_index(s->w->block, code))) flush_weights(s);
 }
 
 static uint32_t label_of(const svoi_run *r, uint32_t group)
@@ -191,8 +170,7 @@ static void weigh_part(svoi_scan *s, uint32_t label, const int32_t box_lo[3], co
         svoi_load_triangle(s, list[i], &record);
         if (label_of(s->r, record.group) != label) continue;
         svoi_load_facet(s, list[i], &record);
-        s->moments = false;
-        visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
+            visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
         flush_weights(s);
     }
 }
@@ -236,22 +214,28 @@ static svo_result shade_materials(svoi_scan *s, const int32_t box_lo[3], const i
     }
 }
 
-/* Morton codes of complex voxels in order, to write their values where they belong. */
+/* Averages of the slice, in order, to where they belong. */
 static void write_slice(svoi_scan *s)
 {
-    svo_block *b = s->w->block;
-    uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
-    memset(values, 0, sizeof values);
+    const svo_block *b = s->w->block;
+    svoi_lanes *l = &s->shared;
+    uint64_t done = 0; /* of the slice */
+    l->count = 0;
     for (uint32_t i = 0; i < 512; i++)
         for (uint64_t used = b->used[i]; used != 0; used &= used - 1) {
             uint32_t brick = i * 64 + (uint32_t)__builtin_ctzll(used);
             uint64_t index = b->complex_rank[brick];
             for (uint64_t bits = b->complex[brick]; bits != 0; bits &= bits - 1, index++) {
                 if (index < s->slice_begin || index >= s->slice_end) continue;
-                svo_shade_value(s->layout, s->sums + (index - s->slice_begin) * s->layout->fields, values);
-                write_values(s, svo_block_index(b, brick * 64 + (uint32_t)__builtin_ctzll(bits)), values);
+                uint32_t code = brick * 64 + (uint32_t)__builtin_ctzll(bits);
+                if (!push(l, code, svo_block_index(b, code))) continue;
+                svoi_sums_write(s->layout, l, s->sums + done * s->layout->fields, l->target, l->count, s->channels);
+                done += l->count;
+                l->count = 0;
             }
         }
+    svoi_sums_write(s->layout, l, s->sums + done * s->layout->fields, l->target, l->count, s->channels);
+    l->count = 0;
 }
 
 static void shade_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3])
@@ -262,7 +246,8 @@ static void shade_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_
         svoi_load_triangle(s, list[i], &record);
         svoi_load_facet(s, list[i], &record);
         visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
-        flush(s);
+        flush_shared(s);
+        flush_alone(s);
     }
 }
 
@@ -281,18 +266,13 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     w->values.size = 0;
     if (!svo_buffer_append(&w->values, NULL, bytes)) return out_of_memory(err);
     bytes = 0;
-    s->written_count = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) {
         s->channels[c] = NULL;
         if (r->info->channels[c].constant) continue;
-        s->stride[c] = svo_channel_stride(r->info->channels[c].kind);
-        if (c != s->layout->material) s->written[s->written_count++] = c;
         s->channels[c] = w->values.data + bytes;
         bytes += voxels * svo_channel_stride(r->info->channels[c].kind);
     }
-    uint8_t flat_values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
-    memset(flat_values, 0, sizeof flat_values);
-    s->flat_values = flat_values;
+    s->shared.count = s->alone.count = 0;
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {

@@ -9,6 +9,7 @@
 #include "svo_raster.h"
 #include "svo_shade.h"
 #include "svo_voxelize.h"
+#include "svoi_lanes.h"
 #include "svoi_reference.h"
 
 enum { SVOI_MAX_WORKERS = 256 };
@@ -17,7 +18,7 @@ enum { SVOI_MAX_WORKERS = 256 };
 typedef struct svoi_worker {
     svo_block *block;
     svo_buffer masks, sums, values, ids;
-    svo_buffer visits, starts; /* packed voxels that each triangle meets (uint32_t), and where each triangle's begin */
+    svo_buffer visits, starts; /* local Morton codes of the voxels that each triangle meets (uint32_t), and where each triangle's begin */
 } svoi_worker;
 
 /* One chunk that is made of up to 64 units, which come in ascending Morton order. */
@@ -104,14 +105,10 @@ typedef struct svoi_scan {
     uint32_t shift;
     uint64_t slice_begin, slice_end; /* complex voxels averaged now */
     bool first_slice;
-    uint8_t (*flat_values)[SVO_MAX_STRIDE]; /* of a flat facet, encoded when first used */
-    bool flat_ready, flat_encoded, moments;
-    svo_contribution flat;
-    uint32_t pending; /* voxels of the facet that wait for their area */
-    uint64_t *target[SVOI_CLIP_BATCH];
-    svoi_clip_batch batch;
+    bool flat_ready;
+    svo_contribution flat; /* of a flat facet, made when first used */
+    svoi_lanes shared, alone; /* voxels of the facet that wait for their values: met by others too, or not */
     uint8_t *channels[SVO_MAX_CHANNELS];
-    uint32_t written[SVO_MAX_CHANNELS], written_count, stride[SVO_MAX_CHANNELS]; /* channels that are averaged */
     uint64_t *sums;
     uint32_t triangle;   /* number in the placement */
     svoi_sample *sample; /* while samples are taken: those of the chunk by code, and how many */
@@ -119,15 +116,6 @@ typedef struct svoi_scan {
     uint64_t sample_bricks[512]; /* bit i of word j: brick 64 j + i holds one */
 } svoi_scan;
 
-/* A voxel of the block in 32 bits. */
-static inline uint32_t svoi_packed(const svo_raster_row *row, int32_t u, int32_t w)
-{
-    return (uint32_t)u << 8 * row->u | (uint32_t)row->at_v << 8 * row->v | (uint32_t)w << 8 * row->w;
-}
-static inline uint32_t svoi_code_of(const svo_block *b, uint32_t voxel)
-{
-    return b->spread[0][voxel & 255] | b->spread[1][voxel >> 8 & 255] | b->spread[2][voxel >> 16];
-}
 /* A triangle of the list, relative to the block; the triangle in hand made ready (its record's q as svoi_load_triangle gives it). */
 void svoi_load_triangle(const svoi_scan *s, uint32_t triangle, svo_record *record);
 void svoi_load_facet(svoi_scan *s, uint32_t triangle, const svo_record *record);
@@ -154,7 +142,7 @@ svo_result svoi_voxelize_spilled(svoi_run *r, const svo_voxelize_options *o, uin
 svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], svo_error *err);
 
 /* A function of a voxel that the triangle in hand meets and that exists. */
-typedef void (*svoi_voxel_fn)(svoi_scan *s, uint32_t voxel, uint32_t code);
+typedef void (*svoi_voxel_fn)(svoi_scan *s, uint32_t code);
 /* Call it for triangle number i of the chunk's list. */
 void svoi_visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], svoi_voxel_fn fn);
 

@@ -1,0 +1,489 @@
+#include "svoi_lanes.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svoi_shade.h"
+
+/* --- where -------------------------------------------------------------------------------------------------------- */
+
+/* Every third bit. */
+static inline uint32_t compact(uint32_t x)
+{
+    x &= 0x249249;
+    x = (x | x >> 2) & 0x0c30c3;
+    x = (x | x >> 4) & 0x00f00f;
+    return (x | x >> 8) & 0xff;
+}
+
+static uint32_t rounded(uint32_t count) { return (count + 7) & ~7u; }
+
+static void place(const svo_facet *t, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count), x = (t->axis + 1) % 3, y = (t->axis + 2) % 3, z = t->axis;
+    for (uint32_t i = l->count; i < n; i++) l->code[i] = l->code[0];
+    for (uint32_t i = 0; i < n; i++) {
+        l->clip.x[i] = (float)(int32_t)compact(l->code[i] >> x);
+        l->clip.y[i] = (float)(int32_t)compact(l->code[i] >> y);
+        l->clip.z[i] = (float)(int32_t)compact(l->code[i] >> z);
+    }
+}
+
+/* Where nothing is cut: the whole facet, or a segment or a point, which has no area. */
+static void uncut(const svo_facet *t, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count);
+    svo_piece p = {.area = 0};
+    if (t->inside) svo_facet_piece(t, &p);
+    for (uint32_t i = 0; i < n; i++) {
+        l->clip.area[i] = (float)p.area;
+        l->clip.cx[i] = t->inside ? (float)p.centre[(t->axis + 1) % 3] : l->clip.x[i] + 0.5f;
+        l->clip.cy[i] = t->inside ? (float)p.centre[(t->axis + 2) % 3] : l->clip.y[i] + 0.5f;
+        l->clip.xx[i] = (float)p.xx, l->clip.xy[i] = (float)p.xy, l->clip.yy[i] = (float)p.yy;
+    }
+}
+
+void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l)
+{
+    place(t, l);
+    if (t->inside || !t->clips) uncut(t, l);
+    else svoi_clip(&t->clipper, &l->clip, l->count, false);
+}
+
+static void find_barycentric(const svo_facet *t, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count), x = (t->axis + 1) % 3, y = (t->axis + 2) % 3;
+    if (t->normal[t->axis] == 0) {
+        for (uint32_t i = 0; i < n; i++) {
+            double at[3], b[3];
+            at[x] = (double)l->clip.cx[i], at[y] = (double)l->clip.cy[i], at[t->axis] = (double)l->clip.z[i] + 0.5;
+            svoi_barycentric(t, at, b);
+            for (int k = 0; k < 3; k++) l->b[k][i] = (float)b[k];
+        }
+        return;
+    }
+    const double ox = t->corner[0][x], oy = t->corner[0][y], x1 = t->per_x[0], y1 = t->per_y[0], x2 = t->per_x[1], y2 = t->per_y[1];
+    for (uint32_t i = 0; i < n; i++) {
+        double px = (double)l->clip.cx[i] - ox, py = (double)l->clip.cy[i] - oy, b1 = px * x1 + py * y1, b2 = px * x2 + py * y2;
+        l->b[0][i] = (float)(1 - b1 - b2);
+        l->b[1][i] = (float)b1;
+        l->b[2][i] = (float)b2;
+    }
+    /* centroids are inside but for rounding, which is much on needles */
+    for (uint32_t i = 0; i < n; i++) {
+        float b0 = l->b[0][i] > 0 ? l->b[0][i] : 0, b1 = l->b[1][i] > 0 ? l->b[1][i] : 0, b2 = l->b[2][i] > 0 ? l->b[2][i] : 0;
+        float sum = b0 + b1 + b2, inverse = 1 / (sum > 1e-30f ? sum : 1);
+        l->b[0][i] = b0 * inverse;
+        l->b[1][i] = b1 * inverse;
+        l->b[2][i] = b2 * inverse;
+    }
+}
+
+/* --- textures ----------------------------------------------------------------------------------------------------- */
+
+typedef float texel4 __attribute__((vector_size(16)));
+
+static inline uint32_t wrapped(int64_t i, uint32_t n, svo_wrap mode)
+{
+    if (i >= 0 && i < n) return (uint32_t)i;
+    if (mode == SVO_WRAP_CLAMP) return i < 0 ? 0 : n - 1;
+    const int64_t period = mode == SVO_WRAP_MIRROR ? 2 * (int64_t)n : (int64_t)n;
+    int64_t k = i % period;
+    if (k < 0) k += period;
+    return k < n ? (uint32_t)k : (uint32_t)(2 * (int64_t)n - 1 - k);
+}
+
+static inline void load_texel(const svo_pyramid *p, const uint8_t *t, texel4 *out)
+{
+    *out = (texel4){p->linear[t[0]], p->linear[t[1]], p->linear[t[2]], 1};
+}
+
+/* Bilinear readings of the image itself at texel coordinates at[][i] (coordinates of the image's corner: 0). Opaque colours only. */
+static void read_finest(const svo_pyramid *p, const svo_texture *how, svoi_lanes *l, float (*out)[SVOI_LANES])
+{
+    const uint32_t w = p->width[0], h = p->height[0];
+    const uint8_t *pixels = p->image->pixels;
+    for (uint32_t i = 0; i < l->count; i++) {
+        double x = l->at[0][i] - 0.5, y = l->at[1][i] - 0.5, fx = floor(x), fy = floor(y);
+        const int64_t ix = (int64_t)fx, iy = (int64_t)fy;
+        uint32_t x0, x1, y0, y1;
+        if ((uint64_t)ix < w - 1 && (uint64_t)iy < h - 1) {
+            x0 = (uint32_t)ix, x1 = x0 + 1, y0 = (uint32_t)iy, y1 = y0 + 1;
+        } else {
+            x0 = wrapped(ix, w, how->wrap_u), x1 = wrapped(ix + 1, w, how->wrap_u);
+            y0 = wrapped(iy, h, how->wrap_v), y1 = wrapped(iy + 1, h, how->wrap_v);
+        }
+        const uint8_t *top = pixels + 4 * (uint64_t)y0 * w, *bottom = pixels + 4 * (uint64_t)y1 * w;
+        texel4 a, b, c, d;
+        load_texel(p, top + 4 * (uint64_t)x0, &a);
+        load_texel(p, top + 4 * (uint64_t)x1, &b);
+        load_texel(p, bottom + 4 * (uint64_t)x0, &c);
+        load_texel(p, bottom + 4 * (uint64_t)x1, &d);
+        const float u = (float)(x - fx), v = (float)(y - fy);
+        a += (b - a) * u;
+        c += (d - c) * u;
+        a += (c - a) * v;
+        for (int k = 0; k < 3; k++) out[k][i] = a[k];
+    }
+}
+
+/* Texel coordinates of the centroids. */
+static void find_texels(const svo_facet *t, const svo_facet_texture *f, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count);
+    for (int k = 0; k < 2; k++) {
+        if (t->normal[t->axis] == 0 || t->inside) {
+            for (uint32_t i = 0; i < n; i++)
+                l->at[k][i] = (double)l->b[0][i] * f->corner[0][k] + (double)l->b[1][i] * f->corner[1][k] + (double)l->b[2][i] * f->corner[2][k];
+            continue;
+        }
+        const double ox = t->corner[0][(t->axis + 1) % 3], oy = t->corner[0][(t->axis + 2) % 3], c = f->corner[0][k], px = f->per_x[k], py = f->per_y[k];
+        for (uint32_t i = 0; i < n; i++) l->at[k][i] = c + ((double)l->clip.cx[i] - ox) * px + ((double)l->clip.cy[i] - oy) * py;
+    }
+}
+
+/* Is every piece narrower than 0.6 texels, so that one bilinear reading of the image will do? A convex piece varies by at most 1/12 along each axis. */
+static bool magnified(const svo_facet_texture *f)
+{
+    double u = fabs(f->per_x[0]) + fabs(f->per_y[0]), v = fabs(f->per_x[1]) + fabs(f->per_y[1]);
+    return (u * u + v * v) * (1.0 / 12) < 0.03;
+}
+
+static bool in_range(const svo_facet *t, const svo_facet_texture *f)
+{
+    (void)t;
+    for (int k = 0; k < 3; k++)
+        if (!(fabs(f->corner[k][0]) < 1e9 && fabs(f->corner[k][1]) < 1e9)) return false;
+    return true;
+}
+
+/* One of the facet's textures at every lane, `components` of them. */
+static void read_lanes(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, bool weighted, svoi_lanes *l, float (*out)[SVOI_LANES])
+{
+    const svo_facet_texture *f = svoi_facet_texture(t, slot, how, p);
+    if (p->kind == SVO_TEXEL_COLOR && !how->nearest && magnified(f) && in_range(t, f)) {
+        find_texels(t, f, l);
+        read_finest(p, how, l, out);
+        for (uint32_t i = 0; i < l->count; i++) out[3][i] = 1;
+        return;
+    }
+    const uint32_t x = (t->axis + 1) % 3, y = (t->axis + 2) % 3;
+    for (uint32_t i = 0; i < l->count; i++) {
+        svo_piece piece = {.xx = (double)l->clip.xx[i], .xy = (double)l->clip.xy[i], .yy = (double)l->clip.yy[i]};
+        float texel[4];
+        piece.centre[x] = (double)l->clip.cx[i];
+        piece.centre[y] = (double)l->clip.cy[i];
+        piece.centre[t->axis] = (double)l->clip.z[i] + 0.5;
+        svoi_read_texture(t, slot, how, p, &piece, texel);
+        if (weighted) svoi_unmultiply(t, how, p, &piece, texel);
+        for (int k = 0; k < 4; k++) out[k][i] = texel[k];
+    }
+}
+
+static bool needs_moments(const shade_material *m, svo_facet *t)
+{
+    const struct { const svo_pyramid *p; const svo_texture *how; } uses[4] = {{m->base, &m->m.base_color_texture}, {m->opacity, &m->m.opacity_texture},
+        {m->emissive, &m->m.emissive_texture}, {m->metallic_roughness, &m->m.metallic_roughness_texture}};
+    for (uint32_t k = 0; k < 4; k++)
+        if (uses[k].p != NULL && !magnified(svoi_facet_texture(t, k, uses[k].how, uses[k].p))) return true;
+    return false;
+}
+
+/* --- values ------------------------------------------------------------------------------------------------------- */
+
+static void clamp_unit(float *v, uint32_t n)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        float x = v[i] > 0 ? v[i] : 0; /* NaN becomes 0 */
+        v[i] = x < 1 ? x : 1;
+    }
+}
+
+static void find_colors(const shade_material *m, svo_facet *t, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count);
+    float texel[4][SVOI_LANES];
+    for (int k = 0; k < 4; k++) {
+        const float base = m->m.base_color[k];
+        if (t->part->colors != NULL) {
+            const float c0 = base * t->part->colors[4 * (uint64_t)t->vertex[0] + (uint64_t)k], c1 = base * t->part->colors[4 * (uint64_t)t->vertex[1] + (uint64_t)k],
+                        c2 = base * t->part->colors[4 * (uint64_t)t->vertex[2] + (uint64_t)k];
+            for (uint32_t i = 0; i < n; i++) l->color[k][i] = l->b[0][i] * c0 + l->b[1][i] * c1 + l->b[2][i] * c2;
+        } else {
+            for (uint32_t i = 0; i < n; i++) l->color[k][i] = base;
+        }
+    }
+    if (m->base != NULL) {
+        read_lanes(t, BASE, &m->m.base_color_texture, m->base, m->alpha_matters, l, texel);
+        for (int k = 0; k < 4; k++)
+            for (uint32_t i = 0; i < l->count; i++) l->color[k][i] *= texel[k][i];
+    }
+    if (m->opacity != NULL) {
+        read_lanes(t, OPACITY, &m->m.opacity_texture, m->opacity, false, l, texel);
+        for (uint32_t i = 0; i < l->count; i++) l->color[3][i] *= texel[0][i];
+    }
+    for (int k = 0; k < 4; k++) clamp_unit(l->color[k], n);
+}
+
+static void find_normals(const svo_facet *t, svoi_lanes *l)
+{
+    const uint32_t n = rounded(l->count);
+    float c[3][3], face[3];
+    const double sign = t->mirrored ? -1 : 1;
+    for (int i = 0; i < 3; i++) {
+        face[i] = (float)(sign * t->face[i]);
+        for (int k = 0; k < 3; k++) c[k][i] = (float)t->corner_normal[k][i];
+    }
+    if (!t->smooth) {
+        for (int k = 0; k < 3; k++)
+            for (uint32_t i = 0; i < n; i++) l->normal[k][i] = face[k];
+        return;
+    }
+    for (uint32_t i = 0; i < n; i++) {
+        float b0 = l->b[0][i], b1 = l->b[1][i], b2 = l->b[2][i];
+        float x = b0 * c[0][0] + b1 * c[1][0] + b2 * c[2][0], y = b0 * c[0][1] + b1 * c[1][1] + b2 * c[2][1], z = b0 * c[0][2] + b1 * c[1][2] + b2 * c[2][2];
+        float square = x * x + y * y + z * z, inverse = 1 / sqrtf(square > 1e-12f ? square : 1);
+        bool none = !(square > 1e-12f); /* they cancel: the face */
+        l->normal[0][i] = none ? face[0] : x * inverse;
+        l->normal[1][i] = none ? face[1] : y * inverse;
+        l->normal[2][i] = none ? face[2] : z * inverse;
+    }
+}
+
+void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l)
+{
+    const shade_material *m = svoi_material_of(s, t->material);
+    const svo_shade_layout *layout = &s->layout;
+    const uint32_t n = rounded(l->count);
+    place(t, l);
+    if (t->inside || !t->clips) uncut(t, l);
+    else if (needs_moments(m, t)) svoi_clip(&t->clipper, &l->clip, l->count, true);
+    else {
+        svoi_clip(&t->clipper, &l->clip, l->count, false);
+        for (uint32_t i = 0; i < n; i++) l->clip.xx[i] = l->clip.xy[i] = l->clip.yy[i] = 0;
+    }
+    find_barycentric(t, l);
+    if (layout->color < SVO_MAX_CHANNELS) find_colors(m, t, l);
+    if (layout->normal < SVO_MAX_CHANNELS) find_normals(t, l);
+    if (layout->emissive < SVO_MAX_CHANNELS) {
+        float texel[4][SVOI_LANES];
+        if (m->emissive != NULL) read_lanes(t, EMISSIVE, &m->m.emissive_texture, m->emissive, false, l, texel);
+        for (int k = 0; k < 3; k++) {
+            for (uint32_t i = 0; i < n; i++) l->emissive[k][i] = m->m.emissive[k] * (m->emissive != NULL && i < l->count ? texel[k][i] : 1);
+            clamp_unit(l->emissive[k], n);
+        }
+    }
+    if (layout->metallic < SVO_MAX_CHANNELS || layout->roughness < SVO_MAX_CHANNELS) {
+        float texel[4][SVOI_LANES];
+        const bool read = m->metallic_roughness != NULL;
+        if (read) read_lanes(t, METALLIC_ROUGHNESS, &m->m.metallic_roughness_texture, m->metallic_roughness, false, l, texel);
+        for (uint32_t i = 0; i < n; i++) l->roughness[i] = m->m.roughness * (read && i < l->count ? texel[1][i] : 1);
+        for (uint32_t i = 0; i < n; i++) l->metallic[i] = m->m.metallic * (read && i < l->count ? texel[2][i] : 1);
+        clamp_unit(l->roughness, n);
+        clamp_unit(l->metallic, n);
+    }
+}
+
+/* --- sums --------------------------------------------------------------------------------------------------------- */
+
+static void find_weights(const svoi_lanes *l, uint32_t shift, uint32_t *weight)
+{
+    const float scale = (float)(1u << shift);
+    for (uint32_t i = 0; i < rounded(l->count); i++) {
+        int32_t w = (int32_t)(l->clip.area[i] * scale + 0.5f);
+        weight[i] = w > 1 ? (uint32_t)w : 1;
+    }
+}
+
+/* The largest contribution is kept for normals that cancel: 28 bits of weight over 3 x 12 bits of direction. */
+static inline uint64_t direction_key(const int32_t n[3])
+{
+    return (uint64_t)((uint32_t)(n[0] + 32768) >> 4) | (uint64_t)((uint32_t)(n[1] + 32768) >> 4) << 12 | (uint64_t)((uint32_t)(n[2] + 32768) >> 4) << 24;
+}
+
+/* Colours in 16 bits, normals in 15 and a sign. */
+static inline void quantize(const float *v, uint32_t n, int32_t *out)
+{
+    for (uint32_t i = 0; i < n; i++) out[i] = (int32_t)(v[i] * 65535 + 0.5f);
+}
+
+void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint32_t shift, uint64_t *sums)
+{
+    const svo_shade_layout *layout = &s->layout;
+    const uint32_t n = rounded(l->count), fields = layout->fields;
+    const bool weighted = svoi_material_of(s, t->material)->alpha_matters;
+    uint32_t weight[SVOI_LANES];
+    find_weights(l, shift, weight);
+    for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_weight] += weight[i];
+    if (layout->color < SVO_MAX_CHANNELS) {
+        uint32_t color_weight[SVOI_LANES];
+        memcpy(color_weight, weight, sizeof weight);
+        for (uint32_t i = 0; weighted && i < n; i++) {
+            uint32_t w = (uint32_t)((double)weight[i] * (double)l->color[3][i] + 0.5);
+            color_weight[i] = w > 1 ? w : 1;
+        }
+        for (int k = 0; k < 3; k++) quantize(l->color[k], n, l->integer[k]);
+        for (uint32_t i = 0; i < l->count; i++) {
+            uint64_t *f = sums + (uint64_t)l->target[i] * fields + layout->sum_color, w = color_weight[i];
+            f[0] += w;
+            for (int k = 0; k < 3; k++) f[1 + k] += w * (uint64_t)l->integer[k][i];
+        }
+    }
+    if (layout->normal < SVO_MAX_CHANNELS) {
+        for (int k = 0; k < 3; k++)
+            for (uint32_t i = 0; i < n; i++) l->integer[k][i] = (int32_t)floorf(l->normal[k][i] * 32767 + 0.5f);
+        for (uint32_t i = 0; i < l->count; i++) {
+            uint64_t *f = sums + (uint64_t)l->target[i] * fields + layout->sum_normal, w = weight[i];
+            const int32_t normal[3] = {l->integer[0][i], l->integer[1][i], l->integer[2][i]};
+            uint64_t key = w << 36 | direction_key(normal);
+            for (int k = 0; k < 3; k++) f[k] += w * (uint64_t)(int64_t)normal[k]; /* two's complement */
+            f[3] = key > f[3] ? key : f[3];
+        }
+    }
+    if (layout->emissive < SVO_MAX_CHANNELS) {
+        for (int k = 0; k < 3; k++) {
+            quantize(l->emissive[k], n, l->integer[0]);
+            for (uint32_t i = 0; i < l->count; i++)
+                sums[(uint64_t)l->target[i] * fields + layout->sum_emissive + (uint32_t)k] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
+        }
+    }
+    if (layout->metallic < SVO_MAX_CHANNELS) {
+        quantize(l->metallic, n, l->integer[0]);
+        for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_metallic] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
+    }
+    if (layout->roughness < SVO_MAX_CHANNELS) {
+        quantize(l->roughness, n, l->integer[0]);
+        for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_roughness] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
+    }
+}
+
+void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution *c, const svoi_lanes *l, uint32_t shift, uint64_t *sums)
+{
+    uint32_t weight[SVOI_LANES], fields = layout->fields;
+    find_weights(l, shift, weight);
+    for (uint32_t i = 0; i < l->count; i++) {
+        uint64_t *v = sums + (uint64_t)l->target[i] * fields, w = weight[i];
+        v[layout->sum_weight] += w;
+        if (layout->color < SVO_MAX_CHANNELS) {
+            svo_contribution own = {.alpha = c->alpha};
+            svo_contribution_weigh(&own, w);
+            uint64_t *f = v + layout->sum_color;
+            f[0] += own.color_weight;
+            for (int k = 0; k < 3; k++) f[1 + k] += own.color_weight * c->color[k];
+        }
+        if (layout->normal < SVO_MAX_CHANNELS) {
+            uint64_t *f = v + layout->sum_normal, key = w << 36 | direction_key(c->normal);
+            for (int k = 0; k < 3; k++) f[k] += w * (uint64_t)(int64_t)c->normal[k];
+            f[3] = key > f[3] ? key : f[3];
+        }
+        for (uint32_t k = 0; layout->emissive < SVO_MAX_CHANNELS && k < 3; k++) v[layout->sum_emissive + k] += w * c->emissive[k];
+        if (layout->metallic < SVO_MAX_CHANNELS) v[layout->sum_metallic] += w * c->metallic;
+        if (layout->roughness < SVO_MAX_CHANNELS) v[layout->sum_roughness] += w * c->roughness;
+    }
+}
+
+void svoi_lanes_add_areas(const svoi_lanes *l, uint32_t shift, uint64_t *sums)
+{
+    uint32_t weight[SVOI_LANES];
+    find_weights(l, shift, weight);
+    for (uint32_t i = 0; i < l->count; i++) sums[l->target[i]] += weight[i];
+}
+
+/* --- bytes -------------------------------------------------------------------------------------------------------- */
+
+/* Octahedral, as svo_oct32_encode but for the choice of the best of four neighbours: u and v rounded to the nearest. Unit vectors. */
+static void encode_normals(const float *x, const float *y, const float *z, uint32_t n, uint32_t *out)
+{
+    for (uint32_t i = 0; i < n; i++) {
+        float sum = fabsf(x[i]) + fabsf(y[i]) + fabsf(z[i]), inverse = 32767 / (sum > 1e-30f ? sum : 1), u = x[i] * inverse, v = y[i] * inverse;
+        float a = copysignf(32767 - fabsf(v), u), b = copysignf(32767 - fabsf(u), v);
+        u = z[i] < 0 ? a : u;
+        v = z[i] < 0 ? b : v;
+        int32_t iu = (int32_t)(u + copysignf(0.5f, u)), iv = (int32_t)(v + copysignf(0.5f, v));
+        out[i] = ((uint32_t)iu & 0xffff) | (uint32_t)iv << 16;
+    }
+}
+
+static void write_normals(const svoi_lanes *l, const uint32_t *index, uint32_t count, uint8_t *out)
+{
+    uint32_t bytes[SVOI_LANES];
+    encode_normals(l->normal[0], l->normal[1], l->normal[2], rounded(count), bytes);
+    for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], &bytes[i], 4);
+}
+
+static void write_colors(float (*color)[SVOI_LANES], const uint32_t *index, uint32_t count, uint8_t *out)
+{
+    for (uint32_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) out[3 * (uint64_t)index[i] + (uint64_t)k] = svo_linear_to_srgb(color[k][i]);
+}
+
+static void write_bytes(const float *v, const uint32_t *index, uint32_t count, uint8_t *out)
+{
+    for (uint32_t i = 0; i < count; i++) out[index[i]] = (uint8_t)(v[i] * 255 + 0.5f);
+}
+
+static void write_all(const svo_shade_layout *layout, svoi_lanes *l, const uint32_t *index, uint32_t count, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    if (layout->color < SVO_MAX_CHANNELS) write_colors(l->color, index, count, channels[layout->color]);
+    if (layout->normal < SVO_MAX_CHANNELS) write_normals(l, index, count, channels[layout->normal]);
+    if (layout->emissive < SVO_MAX_CHANNELS) write_colors(l->emissive, index, count, channels[layout->emissive]);
+    if (layout->metallic < SVO_MAX_CHANNELS) write_bytes(l->metallic, index, count, channels[layout->metallic]);
+    if (layout->roughness < SVO_MAX_CHANNELS) write_bytes(l->roughness, index, count, channels[layout->roughness]);
+}
+
+void svoi_lanes_write(const svo_shade_layout *layout, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    write_all(layout, l, l->target, l->count, channels);
+}
+
+void svoi_lanes_write_flat(const svo_shade_layout *layout, const svo_contribution *c, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    uint64_t sums[32] = {0};
+    uint8_t v[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
+    svo_contribution own = *c;
+    svo_contribution_weigh(&own, 1 << 24);
+    svo_shade_add(layout, &own, sums);
+    svo_shade_value(layout, sums, v);
+    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[2] = {layout->metallic, layout->roughness};
+    for (int n = 0; n < 2; n++) {
+        if (colors[n] < SVO_MAX_CHANNELS)
+            for (uint32_t i = 0; i < l->count; i++) memcpy(channels[colors[n]] + 3 * (uint64_t)l->target[i], v[colors[n]], 3);
+        if (bytes[n] < SVO_MAX_CHANNELS)
+            for (uint32_t i = 0; i < l->count; i++) channels[bytes[n]][l->target[i]] = v[bytes[n]][0];
+    }
+    if (layout->normal < SVO_MAX_CHANNELS)
+        for (uint32_t i = 0; i < l->count; i++) memcpy(channels[layout->normal] + 4 * (uint64_t)l->target[i], v[layout->normal], 4);
+}
+
+void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *l, const uint64_t *sums, const uint32_t *index, uint32_t count,
+                     uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    const uint32_t fields = layout->fields;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint64_t *v = sums + (uint64_t)i * fields;
+        const double weight = (double)(int64_t)v[layout->sum_weight], inverse = 1 / (weight * 65535);
+        if (layout->color < SVO_MAX_CHANNELS) {
+            const uint64_t *f = v + layout->sum_color;
+            const double scale = 1 / ((double)(int64_t)f[0] * 65535);
+            for (int k = 0; k < 3; k++) l->color[k][i] = (float)((double)(int64_t)f[1 + k] * scale);
+        }
+        if (layout->normal < SVO_MAX_CHANNELS) {
+            const uint64_t *f = v + layout->sum_normal;
+            const double scale = inverse * 2;
+            double x = (double)(int64_t)f[0] * scale, y = (double)(int64_t)f[1] * scale, z = (double)(int64_t)f[2] * scale;
+            if (x * x + y * y + z * z < 1e-6) { /* they cancel */
+                x = (double)(f[3] & 0xfff) * 16 + 8 - 32768;
+                y = (double)(f[3] >> 12 & 0xfff) * 16 + 8 - 32768;
+                z = (double)(f[3] >> 24 & 0xfff) * 16 + 8 - 32768;
+            }
+            l->normal[0][i] = (float)x, l->normal[1][i] = (float)y, l->normal[2][i] = (float)z;
+        }
+        for (uint32_t k = 0; layout->emissive < SVO_MAX_CHANNELS && k < 3; k++)
+            l->emissive[k][i] = (float)((double)(int64_t)v[layout->sum_emissive + k] * inverse);
+        if (layout->metallic < SVO_MAX_CHANNELS) l->metallic[i] = (float)((double)(int64_t)v[layout->sum_metallic] * inverse);
+        if (layout->roughness < SVO_MAX_CHANNELS) l->roughness[i] = (float)((double)(int64_t)v[layout->sum_roughness] * inverse);
+    }
+    for (uint32_t i = count; layout->normal < SVO_MAX_CHANNELS && i < rounded(count); i++)
+        for (int k = 0; k < 3; k++) l->normal[k][i] = 1;
+    write_all(layout, l, index, count, channels);
+}

@@ -1,0 +1,37 @@
+/* Many voxels of one triangle at a time: from the places of voxels to the values of the triangle's part in each, and from there to
+ * sums or bytes. Loops without branches over arrays, which compilers turn into vector code; what cannot be done so (textures) goes one
+ * by one. A voxel's result depends on the triangle and the voxel alone, not on what else is in the batch. */
+#ifndef SVOI_LANES_H
+#define SVOI_LANES_H
+
+#include "svo_shade.h"
+
+enum { SVOI_LANES = SVOI_CLIP_BATCH };
+
+typedef struct svoi_lanes {
+    uint32_t count;
+    uint32_t code[SVOI_LANES];   /* local Morton codes */
+    uint32_t target[SVOI_LANES]; /* number among the voxels that are averaged now, or among all */
+    svoi_clip_batch clip;
+    float b[3][SVOI_LANES];      /* barycentric coordinates of the centroids */
+    float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES]; /* 0..1; normals unit */
+    double at[2][SVOI_LANES];    /* texel coordinates, while a texture is read */
+    int32_t integer[3][SVOI_LANES];
+} svoi_lanes;
+
+/* Areas (when `areas`), centroids and, when the facet needs them, moments; then the values of every channel of the layout. */
+void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l);
+/* Areas alone. */
+void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l);
+/* Add to sums[target * layout->fields]: the values with their areas, or one contribution with the areas of all. */
+void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint32_t shift, uint64_t *sums);
+void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution *c, const svoi_lanes *l, uint32_t shift, uint64_t *sums);
+void svoi_lanes_add_areas(const svoi_lanes *l, uint32_t shift, uint64_t *sums); /* sums[target] */
+/* To bytes, at channels[c] + target * stride, of the channels that have a pointer (not: the material). */
+void svoi_lanes_write(const svo_shade_layout *layout, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
+void svoi_lanes_write_flat(const svo_shade_layout *layout, const svo_contribution *c, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
+/* The same for averages: sums of `count` voxels in order, to the values with the numbers in index. */
+void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *scratch, const uint64_t *sums, const uint32_t *index, uint32_t count,
+                     uint8_t *const channels[SVO_MAX_CHANNELS]);
+
+#endif
