@@ -4,6 +4,8 @@
 
 #include "cli.h"
 #include "fmt_file.h"
+#include "svo_mesh.h"
+#include "svo_stream.h"
 
 typedef enum bench_sweep { SWEEP_DEPTH, SWEEP_COLOR, SWEEP_NORMAL, SWEEP_OMEGA } bench_sweep;
 
@@ -15,10 +17,12 @@ typedef enum bench_column {
     COL_COMPRESS_CPU, COL_TOTAL_WALL, COL_TOTAL_CPU, COL_SVO_BYTES, COL_SVDAG_BYTES, COL_SVO_PER_VOXEL, COL_SVDAG_PER_VOXEL,
     COL_GEOMETRY_BYTES, COL_ATTRIBUTE_BYTES, COL_CHANNEL_BYTES, COL_CHANNEL_PER_VOXEL, COL_DISTINCT_IN, COL_DISTINCT_OUT,
     COL_VOXEL_SIZE, COL_MEAN_VOXELS, COL_MAX_VOXELS, COL_BOUND_VOXELS, COL_MEAN_WORLD, COL_MAX_WORLD, COL_BOUND_WORLD,
-    COL_MEAN_PERCENT, COL_MAX_PERCENT, COL_SAMPLES, COL_SNAP_MEAN, COL_SNAP_MAX, COL_DELTA_E_MEAN, COL_DELTA_E_MAX,
+    COL_MEAN_PERCENT, COL_MAX_PERCENT, COL_SAMPLES, COL_SURFACE_VOXEL_MEAN, COL_SURFACE_VOXEL_MAX, COL_SURFACE_POINTS,
+    COL_COLOR_MEAN, COL_COLOR_MAX, COL_NORMAL_MEAN, COL_NORMAL_MAX, COL_REFERENCE_VOXELS, COL_SNAP_MEAN, COL_SNAP_MAX, COL_DELTA_E_MEAN, COL_DELTA_E_MAX,
     COL_DEGREES_MEAN, COL_DEGREES_MAX, COL_SKELETON_WALL, COL_SKELETON_CPU, COL_CONVERGED, COL_ITERATIONS, COL_VERTICES,
     COL_JOINTS, COL_BONES, COL_COMPONENTS, COL_ENDS, COL_BRANCHES, COL_LOOPS, COL_THINNESS, COL_SURFACE_MEAN, COL_SURFACE_MAX,
     COL_RECONSTRUCTION_MEAN, COL_RECONSTRUCTION_MAX, COL_SKEL_BYTES, COL_VOXELIZE_PEAK, COL_COMPRESS_PEAK, COL_SKELETON_PEAK,
+    COL_PEAK_RSS,
     COL_COUNT
 } bench_column;
 
@@ -59,7 +63,8 @@ typedef struct bench_row {
     bool front_seconds, front_bytes; /* no other row of the model is better in one and not worse in the other */
 } bench_row;
 
-typedef struct bench {
+typedef struct bench bench;
+struct bench {
     cli *c;
     bench_sweep sweep;
     uint64_t depth, repeat;
@@ -71,7 +76,10 @@ typedef struct bench {
     bench_model *models;
     bench_row *rows; /* model_count * value_count, model by model */
     char *command;   /* as given, UTF-8 */
-} bench;
+    void (*save)(bench *b, void *user); /* called after each point */
+    void *save_user;
+    bool save_failed;
+};
 
 bench_axes bench_axes_of(const bench *b);
 
@@ -82,7 +90,12 @@ static inline bench_row *bench_row_at(const bench *b, uint32_t model, uint32_t v
 
 /* Measure all values of one model into its rows; a failure is noted in the rows it concerns. */
 void bench_measure(bench *b, uint32_t model);
-/* Mark the Pareto fronts of every model, when all rows are measured. */
+/* Distance of points of the mesh's surface (a fixed choice, evenly spread over its area) from the nearest voxel centre of the .svo, in voxels: at least
+ * 1.5 where no voxel touches the point's own. Reads the .svo once. *count 0: the mesh has no area. */
+typedef struct bench_surface { uint64_t count; double mean, max; } bench_surface;
+svo_result bench_surface_distances(const svo_mesh *mesh, const svo_buffer *svo, const svo_tree_info *info, const svo_allocator *a, bench_surface *out, svo_error *err);
+
+/* Mark the Pareto fronts of every model among the rows that are measured. */
 void bench_mark_fronts(bench *b);
 
 /* "6..10,12", "4..14:2", "deltaE=1,lossless"; NULL = the sweep's default. False with the reason in why. */

@@ -1,6 +1,7 @@
 /* svo-bench: running and timing the libraries. */
 #define _GNU_SOURCE
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
@@ -34,6 +35,26 @@ typedef struct work {
     svo_voxelize_report voxelized;
     stopwatch watch;
 } work;
+
+/* The high-water mark of resident memory, set back before each point. 0 where the system does not tell. */
+static void reset_peak_rss(void)
+{
+    FILE *f = fopen("/proc/self/clear_refs", "w");
+    if (f == NULL) return;
+    fputs("5", f);
+    fclose(f);
+}
+
+static uint64_t peak_rss(void)
+{
+    FILE *f = fopen("/proc/self/status", "r");
+    char line[256];
+    unsigned long long kilobytes = 0;
+    while (f != NULL && fgets(line, sizeof line, f) != NULL)
+        if (sscanf(line, "VmHWM: %llu kB", &kilobytes) == 1) break;
+    if (f != NULL) fclose(f);
+    return 1024 * (uint64_t)kilobytes;
+}
 
 static double user_seconds(void)
 {
@@ -132,6 +153,59 @@ static svo_result voxelize(work *w, uint32_t depth, uint32_t channels, svo_error
     }
     w->voxelize_wall = median(w->watch.wall, w->watch.count);
     w->voxelize_cpu = median(w->watch.cpu, w->watch.count);
+    return SVO_OK;
+}
+
+/* --- accuracy ----------------------------------------------------------------------------------------------------- */
+
+enum { REFERENCE_VOXELS = 2048, REFERENCE_MAX_DEPTH = 12 };
+
+static svo_result drop_encode(void *user, const svo_chunk *chunk, uint32_t worker, void **blob, svo_error *err)
+{
+    (void)user, (void)chunk, (void)worker, (void)err;
+    *blob = NULL;
+    return SVO_OK;
+}
+static svo_result drop_commit(void *user, void *blob, svo_error *err)
+{
+    (void)user, (void)blob, (void)err;
+    return SVO_OK;
+}
+static void drop_discard(void *user, void *blob) { (void)user, (void)blob; }
+
+/* Colours and normals against the reference, in a run of its own that is not timed; left out at depths where that run would take long. */
+static svo_result measure_attributes(work *w, uint32_t channels, double *v, svo_error *err)
+{
+    if (channels == 0 || w->info.depth > REFERENCE_MAX_DEPTH) return SVO_OK;
+    svo_voxelize_options o = svo_default_voxelize_options();
+    o.depth = w->info.depth;
+    o.channels = channels;
+    o.threads = (uint32_t)w->b->c->threads;
+    o.memory = memory_left(w);
+    o.allocator = &w->memory.base;
+    o.reference_voxels = REFERENCE_VOXELS;
+    svo_chunk_sink sink = {NULL, drop_encode, drop_commit, drop_discard};
+    svo_voxelize_report r;
+    SVO_TRY(svo_voxelize(&w->mesh, &o, &w->info, &sink, &r, err));
+    v[COL_REFERENCE_VOXELS] = (double)r.reference_voxels;
+    for (uint32_t i = 0; i < w->info.channel_count; i++) {
+        const svo_channel_error *e = &r.attribute_errors[i];
+        bool color = strcmp(w->info.channels[i].name, "color") == 0, normal = strcmp(w->info.channels[i].name, "normal") == 0;
+        if (e->voxels == 0 || (!color && !normal)) continue;
+        v[color ? COL_COLOR_MEAN : COL_NORMAL_MEAN] = e->mean;
+        v[color ? COL_COLOR_MAX : COL_NORMAL_MAX] = e->max;
+    }
+    return SVO_OK;
+}
+
+static svo_result measure_surface(work *w, double *v, svo_error *err)
+{
+    bench_surface s;
+    SVO_TRY(bench_surface_distances(&w->mesh, &w->svo, &w->info, &w->memory.base, &s, err));
+    v[COL_SURFACE_POINTS] = (double)s.count;
+    if (s.count == 0) return SVO_OK;
+    v[COL_SURFACE_VOXEL_MEAN] = s.mean;
+    v[COL_SURFACE_VOXEL_MAX] = s.max;
     return SVO_OK;
 }
 
@@ -325,12 +399,22 @@ static svo_result measure_value(work *w, uint32_t i, bench_row *row, svo_error *
     const bench_value *value = &b->values[i];
     row->value[COL_TRIANGLES] = (double)svo_mesh_count(&w->mesh).placed_triangles;
     row->value[COL_IMPORT_WALL] = w->import_seconds;
-    if (b->sweep == SWEEP_OMEGA) return skeleton(w, value, row, err);
+    if (b->sweep == SWEEP_OMEGA) {
+        svo_result r = skeleton(w, value, row, err);
+        if (peak_rss() != 0) row->value[COL_PEAK_RSS] = (double)peak_rss();
+        return r;
+    }
     if (b->sweep == SWEEP_DEPTH) {
         uint32_t channels = b->attributes == 0 ? SVO_WANT_AUTO : 0;
         SVO_TRY(voxelize(w, (uint32_t)value->number, channels, err));
     }
-    return compress(w, value, row, err);
+    SVO_TRY(compress(w, value, row, err));
+    uint64_t rss = peak_rss();
+    if (rss != 0) row->value[COL_PEAK_RSS] = (double)rss;
+    if (b->sweep != SWEEP_DEPTH) return SVO_OK;
+    cli_phase(b->c, "accuracy");
+    SVO_TRY(measure_surface(w, row->value, err));
+    return measure_attributes(w, b->attributes == 0 ? SVO_WANT_AUTO : 0, row->value, err);
 }
 
 void bench_measure(bench *b, uint32_t model)
@@ -354,13 +438,17 @@ void bench_measure(bench *b, uint32_t model)
         bench_row *row = bench_row_at(b, model, i);
         for (int k = 0; k < COL_COUNT; k++) row->value[k] = NAN;
         svo_result r = all;
+        row->result = SVO_OK;
+        row->error[0] = 0;
         if (all == SVO_OK) {
             memset(&err, 0, sizeof err);
+            reset_peak_rss();
             r = measure_value(w, i, row, &err);
         }
         if (r != SVO_OK) fail_row(b, row, r, &err);
         double done = (double)model + (double)(i + 1) / b->value_count;
         cli_progress(b->c, b->models[model].name, done / b->model_count);
+        if (b->save != NULL) b->save(b, b->save_user);
     }
     cli_phase(b->c, NULL);
     if (w == NULL) return;

@@ -46,6 +46,14 @@ const bench_column_info bench_columns[COL_COUNT] = {
     [COL_MEAN_PERCENT] = {"distance_mean_percent", NULL, "percent", "distance_mean_voxels in percent of the grid's edge (the model's longest side)", D, false},
     [COL_MAX_PERCENT] = {"distance_max_percent", NULL, "percent", "distance_max_voxels in percent of the grid's edge", D, false},
     [COL_SAMPLES] = {"distance_samples", "samples", "", "voxels whose distance was measured: a fixed sample", D, true},
+    [COL_SURFACE_VOXEL_MEAN] = {"surface_to_voxel_mean_voxels", NULL, "voxel", "point of the surface to the nearest voxel's centre, mean over the points", D, false},
+    [COL_SURFACE_VOXEL_MAX] = {"surface_to_voxel_max_voxels", "surface max", "voxel", "the same, largest; at most distance_bound_voxels and the snap, but where alpha removed voxels", D, false},
+    [COL_SURFACE_POINTS] = {"surface_points", NULL, "", "points of the surface: a fixed choice, evenly spread over the area", D, true},
+    [COL_COLOR_MEAN] = {"color_error_mean", "dE mean", "CIE94", "colours of voxels against 4096 samples of the surface in each, mean", D, false},
+    [COL_COLOR_MAX] = {"color_error_max", NULL, "CIE94", "the same, largest", D, false},
+    [COL_NORMAL_MEAN] = {"normal_error_mean", "deg mean", "degree", "normals of voxels against 4096 samples of the surface in each, mean", D, false},
+    [COL_NORMAL_MAX] = {"normal_error_max", NULL, "degree", "the same, largest", D, false},
+    [COL_REFERENCE_VOXELS] = {"reference_voxels", NULL, "", "voxels whose attributes were compared: a fixed sample", D, true},
     [COL_SNAP_MEAN] = {"snap_mean_voxels", NULL, "voxel", "distance that vertices moved to the voxelizer's lattice, mean", D, false},
     [COL_SNAP_MAX] = {"snap_max_voxels", "snap max", "voxel", "the same, largest", D, false},
     [COL_DELTA_E_MEAN] = {"delta_e_mean", "dE mean", "CIE94", "colour difference over all attributes, inner nodes included, mean", C, false},
@@ -71,6 +79,7 @@ const bench_column_info bench_columns[COL_COUNT] = {
     [COL_SKEL_BYTES] = {"skel_bytes", ".skel", "B", "size of the .skel, map included, without provenance", O, true},
     [COL_VOXELIZE_PEAK] = {"voxelize_peak_bytes", "peak B", "B", "most memory charged while voxelizing and writing, besides mesh and .svo", V, true},
     [COL_COMPRESS_PEAK] = {"compress_peak_bytes", NULL, "B", "most memory charged while compressing, besides mesh and .svo", V, true},
+    [COL_PEAK_RSS] = {"peak_rss_bytes", NULL, "B", "most memory resident while the point was measured, mesh and .svo included; empty where the system does not tell", V | O, true},
     [COL_SKELETON_PEAK] = {"skeleton_peak_bytes", "peak B", "B", "most memory charged while building the skeleton, besides the mesh", O, true},
 };
 
@@ -232,7 +241,7 @@ json_t *bench_json(const bench *b)
     json_object_set_new(all, "rows", rows);
     json_array_append_new(notes, json_string("seconds are medians; cpu is the user time of all threads"));
     if (b->sweep == SWEEP_DEPTH)
-        json_array_append_new(notes, json_string("every point of the snapped surface lies in a voxel, so the distance from the surface to its nearest voxel is 0 by "
+        json_array_append_new(notes, json_string("every point of the snapped surface lies in a voxel, so the distance from the surface to its nearest voxel (not its centre) is 0 by "
                                                  "construction; from the surface as given it is at most snap_max_voxels"));
     json_array_append_new(notes, json_string("pareto_seconds, pareto_bytes: no other row of the same model has less time by the clock chosen (fewer bytes) and no more error, or less error and no more time (bytes)"));
     json_object_set_new(all, "notes", notes);

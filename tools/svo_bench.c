@@ -1,5 +1,6 @@
 /* svo-bench: sweep a parameter over meshes and report error and bytes against run time. */
 #define _GNU_SOURCE
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -148,16 +149,44 @@ static svo_result make_documents(const bench *b, document docs[3], svo_error *er
     return SVO_OK;
 }
 
-static svo_result commit_documents(document docs[3], svo_error *err)
+/* A pipe, a device or stdout takes a document once; a file is replaced as a whole every time. */
+static bool once_only(const char *path)
+{
+    struct stat s;
+    return strcmp(path, "-") == 0 || (stat(path, &s) == 0 && !S_ISREG(s.st_mode));
+}
+
+static svo_result commit_documents(document docs[3], bool last, svo_error *err)
 {
     for (int i = 0; i < 3; i++) {
-        if (docs[i].out == NULL) continue;
-        SVO_TRY(fmt_output_write(docs[i].out, docs[i].text.bytes.data, docs[i].text.bytes.size, err));
-        fmt_output *out = docs[i].out;
-        docs[i].out = NULL;
+        document *d = &docs[i];
+        if (d->path == NULL || (!last && once_only(d->path))) continue;
+        if (d->out == NULL) SVO_TRY(fmt_output_open(d->path, true, &d->out, err)); /* our own, from the point before */
+        SVO_TRY(fmt_output_write(d->out, d->text.bytes.data, d->text.bytes.size, err));
+        fmt_output *out = d->out;
+        d->out = NULL;
         SVO_TRY(fmt_output_commit(out, err));
     }
     return SVO_OK;
+}
+
+static svo_result write_documents(bench *b, document docs[3], bool last, svo_error *err)
+{
+    for (int i = 0; i < 3; i++) docs[i].text.bytes.size = 0;
+    bench_mark_fronts(b);
+    SVO_TRY(make_documents(b, docs, err));
+    return commit_documents(docs, last, err);
+}
+
+/* The documents as they are after each point, so that a sweep that is stopped leaves what it has measured. */
+static void save_point(bench *b, void *user)
+{
+    svo_error err = {0};
+    uint64_t good = 0;
+    for (uint64_t i = 0; i < (uint64_t)b->model_count * b->value_count; i++) good += b->rows[i].result == SVO_OK;
+    if (good == 0 || b->save_failed) return;
+    b->save_failed = write_documents(b, user, false, &err) != SVO_OK;
+    if (b->save_failed) svo_warn(&b->c->warnings, "the points so far could not be saved: %s", err.message);
 }
 
 static svo_result print_table(const bench *b, svo_error *err)
@@ -217,6 +246,13 @@ static svo_result run(bench *b, document docs[3], svo_error *err)
     SVO_TRY(open_documents(b, docs, err));
     b->rows = calloc((size_t)b->model_count * b->value_count, sizeof *b->rows);
     if (b->rows == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    for (uint64_t i = 0; i < (uint64_t)b->model_count * b->value_count; i++) {
+        b->rows[i].result = SVO_CANCELLED;
+        strcpy(b->rows[i].error, "not measured yet");
+        for (int k = 0; k < COL_COUNT; k++) b->rows[i].value[k] = NAN;
+    }
+    b->save = save_point;
+    b->save_user = docs;
     for (uint32_t m = 0; m < b->model_count; m++) bench_measure(b, m);
     bench_mark_fronts(b);
     svo_result measured;
@@ -227,8 +263,7 @@ static svo_result run(bench *b, document docs[3], svo_error *err)
     for (int i = 0; i < 3; i++) to_stdout |= docs[i].path != NULL && strcmp(docs[i].path, "-") == 0;
     if (!to_stdout && (b->c->report == NULL || strcmp(b->c->report, "-") != 0)) SVO_TRY(print_table(b, err));
     if (good > 0) { /* without any figure there is nothing to keep */
-        SVO_TRY(make_documents(b, docs, err));
-        SVO_TRY(commit_documents(docs, err));
+        SVO_TRY(write_documents(b, docs, true, err));
     }
     cli_phase(b->c, NULL);
     report(b, good, docs);

@@ -4,6 +4,8 @@ import csv
 import io
 import json
 import math
+import subprocess
+import time
 import xml.etree.ElementTree as xml
 
 import support
@@ -57,7 +59,11 @@ def test_depth(folder):
         for column in ("svo_bytes", "svdag_bytes", "voxels", "nodes"):
             check(falls([-x for x in numbers(model, column)]), column)
         for row in model:
-            x = {k: float(v) for k, v in row.items() if k not in ("model", "error")}
+            x = {k: float(v) for k, v in row.items() if k not in ("model", "error") and v != ""}
+            check(set(row) - set(x) == {"model", "error", "color_error_mean", "color_error_max"}, "no colours, all else: %r" % row)
+            check(0.2 < x["surface_to_voxel_mean_voxels"] <= x["surface_to_voxel_max_voxels"] <= x["distance_bound_voxels"] + x["snap_max_voxels"] + 1e-6, row)
+            check(0 <= x["normal_error_mean"] <= x["normal_error_max"] < 20 and x["normal_error_mean"] < 1 and x["reference_voxels"] > 0, row)
+            check(x["peak_rss_bytes"] > 1e6, row)
             check(0 < x["distance_mean_voxels"] <= x["distance_max_voxels"] <= x["distance_bound_voxels"] + x["snap_max_voxels"], row)
             check(math.isclose(x["distance_bound_voxels"], math.sqrt(3) / 2, rel_tol=1e-6), row)
             check(math.isclose(x["distance_mean_world"], x["distance_mean_voxels"] * x["voxel_size_world"], rel_tol=1e-6), row)
@@ -85,7 +91,7 @@ def test_depth(folder):
     check(names | {"model", "depth", "pareto_seconds", "pareto_bytes", "error"} == set(rows[0]), "columns")
     for a, b in zip(data["rows"], rows):
         for name in names:
-            check(math.isclose(a[name], float(b[name]), rel_tol=1e-8), (name, a[name], b[name]))
+            check(b[name] == "" if a[name] is None else math.isclose(a[name], float(b[name]), rel_tol=1e-8), (name, a[name], b[name]))
     # a marker a row in both panels
     root, panels = picture(folder / "o.svg")
     check([len(p) for p in panels] == [10, 10], "points")
@@ -94,6 +100,30 @@ def test_depth(folder):
     check({"import", "voxelize", "compress", "write"} <= {p["name"] for p in report["phases"]}, report["phases"])
     lines = r.text.splitlines()
     check(len(lines) == 11 and len({len(x) for x in lines}) == 1, "the table is not aligned:\n" + r.text)
+
+
+def test_documents_grow_with_the_sweep(folder):
+    """A sweep that is stopped leaves the points it has measured."""
+    ball = support.sphere_obj(folder / "ball.obj", rings=200)
+    command = [str(support.tools / "svo-bench"), str(ball), "--sweep", "depth", "--values", "4..14", "--repeat", "1", "-q"] + [str(a) for a in all_output(folder)]
+    sweep = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(600):
+            if (folder / "o.svg").exists() and len([x for x in rows_of(folder / "o.csv") if x["error"] == ""]) >= 2:
+                break
+            check(sweep.poll() is None, "the sweep ended")
+            time.sleep(0.1)
+    finally:
+        sweep.kill()
+        sweep.wait()
+    rows = rows_of(folder / "o.csv")
+    measured = [x for x in rows if x["error"] == ""]
+    check(2 <= len(measured) < 11 == len(rows), rows)
+    check(all(x["error"] == "not measured yet" and x["voxels"] == "" for x in rows if x not in measured), rows)
+    check(len(json.loads((folder / "o.json").read_text())["rows"]) == 11, "JSON")
+    _, panels = picture(folder / "o.svg")
+    check(all(1 <= len(p) <= len(measured) for p in panels), "a marker for each point measured")
+    check(sorted(p.name for p in folder.iterdir()) == ["ball.obj", "o.csv", "o.json", "o.svg"], "something else was left behind")
 
 
 def test_points_lie_where_the_rows_say(folder):
