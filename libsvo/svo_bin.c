@@ -160,6 +160,7 @@ typedef struct node {
     uint64_t code;
     uint64_t begin; /* its list is lists[begin .. ): the rest of the array when it is on top of the stack */
     uint32_t level;
+    bool empty; /* no triangle meets it */
 } node;
 
 struct svo_bins {
@@ -175,6 +176,8 @@ struct svo_bins {
     uint32_t threads;
     node stack[8 * (SVO_MAX_DEPTH + 1)];
     uint32_t height;
+    svo_empty_fn empty; /* NULL: empty nodes are left out */
+    void *empty_user;
 };
 
 typedef struct setup_job {
@@ -281,7 +284,7 @@ svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t l
         for (uint64_t t = 0; t < n; t++)
             if (job.finite[t]) list[count++] = (uint32_t)t;
         b->lists.size = count * 4;
-        if (count != 0) b->stack[b->height++] = (node){0, 0, 0};
+        if (count != 0) b->stack[b->height++] = (node){0};
     }
     svo_free(a, job.finite, n, 1);
     svo_free(a, job.blocks, blocks, sizeof *job.blocks);
@@ -442,7 +445,8 @@ static bool split(svo_bins *b, node n)
             j.at[i][c] = total;
             total += here;
         }
-        if (total != begin) b->stack[b->height++] = (node){n.code * 8 + c, n.begin + begin, n.level + 1};
+        if (total != begin || (b->empty != NULL && (j.allowed >> c & 1)))
+            b->stack[b->height++] = (node){n.code * 8 + c, n.begin + begin, n.level + 1, total == begin};
     }
     if (!svo_buffer_reserve(&b->lists, total * 4)) return false;
     uint32_t *old = (uint32_t *)(void *)b->lists.data + n.begin;
@@ -454,21 +458,51 @@ static bool split(svo_bins *b, node n)
     return true;
 }
 
-svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err)
+void svo_bins_empty_nodes(svo_bins *b, svo_empty_fn fn, void *user)
+{
+    b->empty = fn;
+    b->empty_user = user;
+}
+
+static void split_empty(svo_bins *b, node n)
+{
+    const uint8_t allowed = wanted(b, n);
+    for (uint32_t c = 8; c-- > 0;)
+        if (allowed >> c & 1) b->stack[b->height++] = (node){n.code * 8 + c, n.begin, n.level + 1, true};
+}
+
+svo_result svo_bins_next_node(svo_bins *b, uint64_t *code, uint32_t *level, bool *full, svo_buffer *list, bool *more, svo_error *err)
 {
     while (b->height != 0) {
         node n = b->stack[--b->height];
-        if (n.level < b->level) {
+        *full = false;
+        if (n.empty) {
+            svo_bin_side side = b->empty(b->empty_user, n.code, n.level);
+            if (side == SVO_BIN_SKIP) continue;
+            if (side == SVO_BIN_SPLIT && n.level < b->level) {
+                split_empty(b, n);
+                continue;
+            }
+            *full = side == SVO_BIN_FULL;
+        } else if (n.level < b->level) {
             if (!split(b, n)) return no_memory(b->p, err);
             continue;
         }
         list->size = 0;
-        if (svo_buffer_append(list, b->lists.data + n.begin * 4, b->lists.size - n.begin * 4) == NULL) return no_memory(b->p, err);
+        if (!n.empty && svo_buffer_append(list, b->lists.data + n.begin * 4, b->lists.size - n.begin * 4) == NULL) return no_memory(b->p, err);
         b->lists.size = n.begin * 4;
         *code = n.code;
+        *level = n.level;
         *more = true;
         return SVO_OK;
     }
     *more = false;
     return SVO_OK;
+}
+
+svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err)
+{
+    uint32_t level;
+    bool full;
+    return svo_bins_next_node(b, code, &level, &full, list, more, err);
 }

@@ -60,6 +60,14 @@ svo_result svo_bins_create(const svo_placement *p, const svo_grid *g, uint32_t l
 void svo_bins_limit(svo_bins *b, uint64_t first, uint64_t end);
 /* Next subtree: its code, and its triangle numbers (uint32_t) in place of what `list` held. *more false at the end. */
 svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *more, svo_error *err);
+/* With solids, nodes that no triangle meets matter too. Asked for each such node that has a sibling with triangles, from the largest
+ * down: SVO_BIN_SPLIT asks for its children, or hands it out when its level is that of the subtrees. Called by the thread that calls
+ * svo_bins_next_node. Set before the first call. */
+typedef enum svo_bin_side { SVO_BIN_SKIP, SVO_BIN_FULL, SVO_BIN_SPLIT } svo_bin_side;
+typedef svo_bin_side (*svo_empty_fn)(void *user, uint64_t code, uint32_t level);
+void svo_bins_empty_nodes(svo_bins *b, svo_empty_fn fn, void *user);
+/* Like svo_bins_next; *full: an empty node of *level (at most that of the subtrees) for which fn said SVO_BIN_FULL. */
+svo_result svo_bins_next_node(svo_bins *b, uint64_t *code, uint32_t *level, bool *full, svo_buffer *list, bool *more, svo_error *err);
 /* Snapped triangle by number; callable from any thread. */
 void svo_bins_record(const svo_bins *b, uint32_t triangle, svo_record *out);
 /* A hint that it will be asked for soon. */

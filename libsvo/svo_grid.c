@@ -135,7 +135,6 @@ static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool an
 svo_result svo_voxelize_plan(const svo_mesh *mesh, const svo_voxelize_options *options, svo_tree_info *info, svo_error *err)
 {
     if (options->depth > SVO_MAX_DEPTH) return svo_fail(err, SVO_LIMIT, "a depth of %u is more than %u", options->depth, SVO_MAX_DEPTH);
-    if (options->fill == SVO_FILL_SOLID) return svo_fail(err, SVO_UNSUPPORTED, "--fill solid is not available; only the surface can be voxelized");
     svo_placement p;
     SVO_TRY(svo_placement_create(mesh, options->allocator, &p, err));
     double low[3], high[3];

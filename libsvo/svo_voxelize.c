@@ -161,9 +161,12 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     it->samples.list.size = it->samples.triangles.size = 0;
     it->distances = (svo_distances){0};
     it->parts = NULL;
-    it->first = !r->started;
-    r->started = true;
-    return svo_bins_next(r->bins, &it->code, &it->list, more, err);
+    it->tree = (svo_tree_counts){0};
+    it->asked = (svo_solid_counts){0};
+    SVO_TRY(svo_bins_next_node(r->bins, &it->code, &it->level, &it->full, &it->list, more, err));
+    it->first = !r->started && it->list.size != 0;
+    if (it->list.size != 0) r->started = true;
+    return SVO_OK;
 }
 
 /* The sample of distances: in every chunk of a small octree (more of it where there are few chunks), in one of eight of a large one, and in
@@ -196,6 +199,26 @@ static svo_result keep_unit(svoi_item *it, const svo_tree_info *info, const svo_
     return SVO_OK;
 }
 
+/* Voxels that alpha MASK has cut away altogether. */
+static uint64_t count_masked(const svo_block *b)
+{
+    uint64_t n = 0;
+    for (uint32_t i = 0; i < 512; i++)
+        for (uint64_t bits = b->dirty[i]; bits != 0; bits &= bits - 1) {
+            uint32_t brick = i * 64 + (uint32_t)__builtin_ctzll(bits);
+            n += (uint64_t)__builtin_popcountll(b->masked[brick] & ~b->bricks[brick]);
+        }
+    return n;
+}
+
+/* What a unit of surface voxels holds. */
+static void count_surface(const svoi_run *r, svoi_item *it)
+{
+    const uint32_t level = r->info->depth - r->levels;
+    it->tree = (svo_tree_counts){.chunks = !r->joins, .values = it->counts.nodes[SVO_CHUNK_LEVELS]};
+    for (uint32_t i = 0; i <= r->levels; i++) it->tree.nodes[level + i] = it->counts.nodes[SVO_CHUNK_LEVELS - r->levels + i];
+}
+
 static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
 {
     svoi_run *r = user;
@@ -211,8 +234,20 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
         svo_buffer_init(&w->ids, r->allocator);
         svo_buffer_init(&w->visits, r->allocator);
         svo_buffer_init(&w->starts, r->allocator);
+        svo_buffer_init(&w->entries, r->allocator);
+        svo_buffer_init(&w->sources, r->allocator);
+        svo_buffer_init(&w->filled, r->allocator);
+        w->nearest_triangle = SVO_NONE;
     }
     svoi_scan s = {.r = r, .w = w, .it = it};
+    svo_chunk chunk;
+    if (it->full) {
+        bool any;
+        SVO_TRY(svoi_solid_chunk(&s, 0, &chunk, &any, err));
+        SVO_TRY(r->sink->encode(r->sink->user, &chunk, number, &it->blob, err));
+        it->has_blob = true;
+        return SVO_OK;
+    }
     uint32_t x, y, z;
     svo_morton_decode(it->code, &x, &y, &z);
     const uint32_t levels = r->levels;
@@ -223,27 +258,28 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
     svo_result result = mark_voxels(&s, box_lo, box_hi, err);
     w->masks.size = 0;
     if (result == SVO_OK && !svo_block_emit(w->block, &w->masks, &it->counts)) result = out_of_memory(err);
-    if (result == SVO_OK && r->masks)
-        for (uint32_t i = 0; i < 512; i++)
-            for (uint64_t bits = w->block->dirty[i]; bits != 0; bits &= bits - 1) {
-                uint32_t brick = i * 64 + (uint32_t)__builtin_ctzll(bits);
-                it->masked += (uint64_t)__builtin_popcountll(w->block->masked[brick] & ~w->block->bricks[brick]);
-            }
-    if (result == SVO_OK && it->counts.nodes[7] != 0) {
+    if (result == SVO_OK && r->masks) it->masked = count_masked(w->block);
+    bool any = it->counts.nodes[7] != 0;
+    if (result == SVO_OK && any) {
         if (r->shader != NULL && r->info->channel_count != 0) result = svoi_shade_chunk(&s, box_lo, box_hi, err);
         if (result == SVO_OK && svoi_part_count(&s) == 1) measure(&s, last + 1); /* else the nearest triangle may be in another part */
         if (result == SVO_OK && r->sample_count != 0 && r->shader != NULL) svoi_samples_take(&s, box_lo, box_hi);
-        if (result == SVO_OK) {
-            /* A unit smaller than the block lies in its low corner: drop the nodes above. */
-            uint32_t skip = SVO_CHUNK_LEVELS - levels;
-            svo_chunk chunk = {.code = it->code, .level = svo_chunk_level(r->info->depth), .depth = r->info->depth};
-            chunk.masks = w->masks.data + skip;
-            chunk.node_count = w->masks.size - skip;
-            chunk.value_count = it->counts.nodes[7];
-            for (uint32_t c = 0; c < r->info->channel_count; c++) chunk.channels[c] = s.channels[c];
-            result = r->joins ? keep_unit(it, r->info, &chunk, err) : r->sink->encode(r->sink->user, &chunk, number, &it->blob, err);
-            it->has_blob = result == SVO_OK;
-        }
+    }
+    if (result == SVO_OK && r->winding != NULL) {
+        result = svoi_solid_chunk(&s, levels, &chunk, &any, err);
+    } else if (result == SVO_OK && any) {
+        /* A unit smaller than the block lies in its low corner: drop the nodes above. */
+        uint32_t skip = SVO_CHUNK_LEVELS - levels;
+        chunk = (svo_chunk){.code = it->code, .level = svo_chunk_level(r->info->depth), .depth = r->info->depth};
+        chunk.masks = w->masks.data + skip;
+        chunk.node_count = w->masks.size - skip;
+        chunk.value_count = it->counts.nodes[7];
+        for (uint32_t c = 0; c < r->info->channel_count; c++) chunk.channels[c] = s.channels[c];
+        count_surface(r, it);
+    }
+    if (result == SVO_OK && any) {
+        result = r->joins ? keep_unit(it, r->info, &chunk, err) : r->sink->encode(r->sink->user, &chunk, number, &it->blob, err);
+        it->has_blob = result == SVO_OK;
     }
     svo_block_clear(w->block);
     return result;
@@ -254,6 +290,8 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     svoi_run *r = user;
     svoi_item *it = slot;
     r->report->masked_voxels += it->masked;
+    r->report->solid_asked += it->asked.asked;
+    r->report->solid_ambiguous += it->asked.ambiguous;
     if (!it->has_blob) return SVO_OK;
     svoi_samples_merge(r, &it->samples);
     r->report->distance_samples += it->distances.count;
@@ -261,12 +299,11 @@ static svo_result commit(void *user, void *slot, svo_error *err)
     if (it->distances.most > r->report->distance_max) r->report->distance_max = it->distances.most;
     svo_tree_counts *counts = &r->report->counts;
     const uint32_t level = r->info->depth - r->levels;
-    svo_counts_ancestors(counts, level, level, r->has_previous, r->previous, it->code);
+    const uint64_t first = it->full ? it->code << 3 * (level - it->level) : it->code;
+    svo_counts_ancestors(counts, level, it->full ? it->level : level, r->has_previous, r->previous, first);
+    svo_counts_add(counts, &it->tree);
     r->has_previous = true;
-    r->previous = it->code;
-    counts->chunks += !r->joins;
-    counts->values += it->counts.nodes[7];
-    for (uint32_t i = 0; i <= r->levels; i++) counts->nodes[level + i] += it->counts.nodes[SVO_CHUNK_LEVELS - r->levels + i];
+    r->previous = first;
     it->has_blob = false;
     return r->joins ? svoi_join_add(&r->join, r->info, it->code, &it->unit, err) : r->sink->commit(r->sink->user, it->blob, err);
 }
@@ -312,7 +349,7 @@ svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err)
 
 svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err)
 {
-    svoi_item it = {.code = code, .parts = parts, .first = !r->started, .owner = r};
+    svoi_item it = {.code = code, .level = r->info->depth - r->levels, .parts = parts, .first = !r->started, .owner = r};
     r->started = true;
     svo_buffer_init(&it.list, r->allocator);
     svo_buffer_init(&it.copy, r->allocator);
@@ -341,6 +378,21 @@ static uint32_t fit_workers(svoi_run *r, uint64_t left, uint32_t threads)
     return threads;
 }
 
+static svo_result prepare_solid(svoi_run *r, uint32_t threads, svo_error *err)
+{
+    svo_voxelize_report *report = r->report;
+    svo_winding_report w;
+    SVO_TRY(svo_winding_create(r->bins, &r->placement, &r->grid, threads, r->allocator, &r->winding, &w, err));
+    svo_bins_empty_nodes(r->bins, svoi_solid_side, r);
+    report->solid_triangles_oriented = w.oriented;
+    report->solid_triangles_even = w.even;
+    report->solid_triangles_open = w.open;
+    report->solid_triangles_turned = w.turned;
+    report->solid_boundary_edges = w.boundary_edges;
+    report->seconds_solid = w.seconds;
+    return SVO_OK;
+}
+
 static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, const svo_limit_allocator *limit, svo_error *err)
 {
     svo_voxelize_report *report = r->report;
@@ -349,7 +401,8 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     r->slice_voxels = SLICE_VOXELS;
     SVO_TRY(svo_placement_create(r->placement.mesh, r->allocator, &r->placement, err));
     report->triangles = r->placement.triangle_count;
-    r->levels = svoi_unit_levels(r->info->depth);
+    const bool solid = r->info->fill == SVO_FILL_SOLID;
+    r->levels = solid ? r->info->depth - svo_chunk_level(r->info->depth) : svoi_unit_levels(r->info->depth); /* what is inside is told for a chunk at a time */
     const uint32_t below = 3 * (r->info->depth - r->levels - svo_chunk_level(r->info->depth));
     r->joins = below != 0;
     const uint64_t first = o->has_range ? shifted(o->first_code, below) : 0, end = o->has_range ? shifted(o->end_code, below) : UINT64_MAX;
@@ -361,7 +414,9 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     if (o->memory != 0) threads = fit_workers(r, left, threads);
     svo_bins_report bins = {0};
     svo_result result;
-    if (must_spill(r, o, left, threads)) {
+    const bool spills = must_spill(r, o, left, threads);
+    if (spills && solid) return svo_fail(err, SVO_LIMIT, "a solid needs all its triangles in memory; allow more (--memory), or fill the surface only");
+    if (spills) {
         report->spilled = true;
         r->sample_count = 0; /* samples mean triangles of the mesh as a whole */
         result = svoi_voxelize_spilled(r, o, first, end, o->memory != 0 ? left : 0, threads, &bins, err);
@@ -370,6 +425,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
         uint64_t keep = o->memory == 0 ? UINT64_MAX : left / 2;
         SVO_TRY(svo_bins_create(&r->placement, &r->grid, r->info->depth - r->levels, keep, threads, r->allocator, &r->bins, &bins, err));
         svo_bins_limit(r->bins, first, end);
+        if (solid) SVO_TRY(prepare_solid(r, threads, err));
         report->seconds_setup = svo_seconds() - r->began;
         result = svoi_run_chunks(r, threads, err);
     }
@@ -378,6 +434,8 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     uint64_t corners = 3 * (report->triangles - bins.skipped);
     report->snap_mean = corners != 0 ? bins.snap_sum / (double)corners : 0;
     report->snap_max = bins.snap_max;
+    report->solid_asked += r->asked.asked;
+    report->solid_ambiguous += r->asked.ambiguous;
     if (result == SVO_OK && r->joins) result = finish_join(r, err);
     if (report->distance_samples != 0) report->distance_mean /= (double)report->distance_samples;
     report->seconds_voxels = svo_seconds() - r->began - report->seconds_setup;
@@ -395,7 +453,6 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     svo_voxelize_report unused;
     if (report == NULL) report = &unused;
     memset(report, 0, sizeof *report);
-    if (info->fill == SVO_FILL_SOLID) return svo_fail(err, SVO_UNSUPPORTED, "--fill solid is not available; only the surface can be voxelized");
     if (info->depth > SVO_MAX_DEPTH) return svo_fail(err, SVO_LIMIT, "a depth of %u is more than %u", info->depth, SVO_MAX_DEPTH);
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, options->memory != 0 ? options->memory : UINT64_MAX, options->allocator);
@@ -433,10 +490,15 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_buffer_free(&w->ids);
         svo_buffer_free(&w->visits);
         svo_buffer_free(&w->starts);
+        svo_buffer_free(&w->entries);
+        svo_buffer_free(&w->sources);
+        svo_buffer_free(&w->filled);
+        svo_solid_free(w->solid);
         svo_free(r->allocator, w->block, 1, sizeof *w->block);
     }
     svoi_join_free(&r->join);
     svoi_samples_free(&r->samples);
+    svo_winding_free(r->winding);
     svo_shader_free(r->shader);
     svo_bins_free(r->bins);
     svo_placement_free(&r->placement);

@@ -61,6 +61,12 @@ typedef struct svo_voxelize_report {
     double distance_mean, distance_max; /* voxel centre to the nearest triangle in the voxel; of a fixed sample of voxels */
     uint64_t distance_samples;
     svo_tree_counts counts;
+    /* solid: how inside was told from outside (svo_winding.h), 0 with fill surface */
+    uint64_t solid_triangles_oriented, solid_triangles_even, solid_triangles_open; /* by the part they belong to */
+    uint64_t solid_triangles_turned;          /* against the orientation that they came with */
+    uint64_t solid_boundary_edges;            /* where open parts end */
+    uint64_t solid_asked, solid_ambiguous;    /* points asked, and those whose winding number is between 0.4 and 0.6 */
+    double seconds_solid;                     /* of setup: to prepare that */
     uint64_t peak_bytes;          /* of memory charged to `memory` */
     bool spilled;                 /* triangles went through the spill: */
     uint64_t spill_bins;          /* parts that were voxelized one after the other */

@@ -8,6 +8,7 @@
 #include "svo_distance.h"
 #include "svo_raster.h"
 #include "svo_shade.h"
+#include "svo_solid.h"
 #include "svo_voxelize.h"
 #include "svoi_lanes.h"
 #include "svoi_reference.h"
@@ -19,6 +20,11 @@ typedef struct svoi_worker {
     svo_block *block;
     svo_buffer masks, sums, values, ids;
     svo_buffer visits, starts; /* local Morton codes of the voxels that each triangle meets (uint32_t), and where each triangle's begin */
+    /* of solids */
+    svo_solid *solid;
+    svo_buffer entries, sources, filled; /* uint32_t a value: what it is, and the surface voxel it takes after; values with the inside */
+    svo_facet nearest;                   /* the last facet that a value was read from */
+    uint32_t nearest_triangle;           /* SVO_NONE: none yet */
 } svoi_worker;
 
 /* One chunk that is made of up to 64 units, which come in ascending Morton order. */
@@ -52,6 +58,8 @@ typedef struct svoi_run {
     svo_bins *bins;
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
+    svo_winding *winding; /* of solids, else NULL */
+    svo_solid_counts asked; /* by the thread that makes items */
     uint32_t most_visits;  /* (triangle, voxel) pairs of a chunk that are remembered; with more they are found again */
     uint64_t slice_voxels; /* voxels averaged at a time: bounds the memory for sums */
     svoi_worker workers[SVOI_MAX_WORKERS];
@@ -79,6 +87,10 @@ typedef struct svoi_parts {
 /* One unit on its way through the pipeline. */
 typedef struct svoi_item {
     uint64_t code;
+    uint32_t level;  /* of `code`: that of units; less for full leaves */
+    bool full;       /* an empty node that is inside */
+    svo_tree_counts tree; /* what it holds */
+    svo_solid_counts asked;
     svo_buffer list; /* uint32_t triangle numbers */
     svo_buffer copy; /* masks and values of a unit that waits to be joined */
     svo_chunk unit;  /* points into copy */
@@ -153,5 +165,10 @@ void svoi_samples_free(svoi_samples *s);
 void svoi_samples_take(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3]);
 void svoi_samples_merge(svoi_run *r, const svoi_samples *more);
 svo_result svoi_samples_measure(svoi_run *r, uint32_t threads, svo_error *err);
+
+/* Solids: the chunk of the worker's block (marked, and its surface shaded) with what is inside, or of an item that is full as a whole. Masks and
+ * values are the worker's; the item's `tree` is filled. *any false: nothing there. */
+svo_result svoi_solid_chunk(svoi_scan *s, uint32_t levels, svo_chunk *chunk, bool *any, svo_error *err);
+svo_bin_side svoi_solid_side(void *run, uint64_t code, uint32_t level);
 
 #endif

@@ -127,6 +127,21 @@ static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_
     double seconds = v->seconds_setup + v->seconds_voxels;
     cli_put_f64(o, "voxels_per_second", seconds > 0 ? (double)voxels / seconds : 0);
     cli_put_u64(o, "working_memory_bytes", v->peak_bytes);
+    if (info->fill == SVO_FILL_SOLID) {
+        cli_put_u64(o, "full_leaves", v->counts.full_leaves);
+        cli_put_u64(o, "values", v->counts.values);
+        json_t *s = cli_section(c, "solid");
+        cli_put_text(s, "inside_by", v->solid_triangles_open != 0 ? "generalised winding number" : v->solid_triangles_even != 0 ? "winding number, parity where it cannot be oriented" : "winding number");
+        cli_put_u64(s, "triangles_oriented", v->solid_triangles_oriented);
+        cli_put_u64(s, "triangles_even", v->solid_triangles_even);
+        cli_put_u64(s, "triangles_open", v->solid_triangles_open);
+        cli_put_u64(s, "triangles_turned", v->solid_triangles_turned);
+        cli_put_u64(s, "boundary_edges", v->solid_boundary_edges);
+        cli_put_u64(s, "points_asked", v->solid_asked);
+        cli_put_u64(s, "points_ambiguous", v->solid_ambiguous);
+        cli_put_f64(s, "ambiguous_share", v->solid_asked != 0 ? (double)v->solid_ambiguous / (double)v->solid_asked : 0);
+        cli_put_f64(s, "seconds_prepare", v->seconds_solid);
+    }
 
     json_t *e = cli_section(c, "errors");
     cli_put_text(e, "unit", "voxel");
@@ -264,8 +279,6 @@ static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh
 
 static svo_result run(cli *c, const tool_options *o, svo_error *err)
 {
-    /* What cannot be done is said before a large mesh is read. */
-    if (o->fill == SVO_FILL_SOLID) return svo_fail(err, SVO_UNSUPPORTED, "--fill solid is not available; only the surface can be voxelized");
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     svo_mesh mesh = {0};
@@ -307,7 +320,7 @@ int main(int argc, char **argv)
          .help = "The longest side of the bounding box becomes 2^D voxels."},
         {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-90, .max = 1e90, .seen = &o.has_size, .no_default = true,
          .help = "Edge of a voxel in the mesh's units, instead of --depth; the grid lies on multiples of S."},
-        {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "HOW", .help = "Voxels of the surface, or of the inside too (not available)."},
+        {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "HOW", .help = "Voxels of the surface, or of the inside too."},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "HOW",
          .help = "conservative: every voxel that the surface touches; thin: those whose centre lines it crosses."},
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",

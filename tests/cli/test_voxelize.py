@@ -109,7 +109,6 @@ def test_exit_codes(folder):
         (2, [folder / "missing.obj", "-o", out, "--depth", 4]),
         (2, [cube, "-o", folder / "no" / "o.svo", "--depth", 4]),
         (3, [folder / "bad.glb", "-o", out, "--depth", 4]),
-        (5, [cube, "-o", out, "--depth", 4, "--fill", "solid"]),
         (6, [cube, "-o", out, "--voxel-size", 1e-8]),
         (6, [cube, "-o", out, "--depth", 8, "--memory", "300K"]),
     ]

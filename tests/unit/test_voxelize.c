@@ -424,9 +424,6 @@ TEST(voxel_size_aligns_the_grid)
     o.voxel_size = -1;
     CHECK_RESULT(svo_voxelize_plan(&m.mesh, &o, &info, &err), SVO_INVALID_ARGUMENT);
     o.voxel_size = 0;
-    o.fill = SVO_FILL_SOLID;
-    CHECK_RESULT(svo_voxelize_plan(&m.mesh, &o, &info, &err), SVO_UNSUPPORTED);
-    o.fill = SVO_FILL_SURFACE;
     o.depth = 22;
     CHECK_RESULT(svo_voxelize_plan(&m.mesh, &o, &info, &err), SVO_LIMIT);
     loose_free(&m);

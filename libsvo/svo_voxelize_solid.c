@@ -1,0 +1,231 @@
+/* The voxelizer's half for solids: chunks of surface and inside, and the values of what is inside.
+ *
+ * A voxel or leaf inside takes the values of the nearest surface: up to 8^3 voxels, those of the surface voxel of the chunk whose centre is nearest to
+ * its own (so they are averaged and filtered already); where another chunk may hold a nearer one, and for larger leaves, those at the nearest point
+ * of the mesh. */
+#include <string.h>
+
+#include "svo_morton.h"
+#include "svoi_voxelize.h"
+
+enum { NEAR_HEIGHT = 3, ASK_MESH = 0x80000000u /* a source that is no voxel */ };
+
+svo_bin_side svoi_solid_side(void *user, uint64_t code, uint32_t level)
+{
+    svoi_run *r = user;
+    uint32_t x, y, z, shift = r->info->depth - level;
+    svo_morton_decode(code, &x, &y, &z);
+    const int32_t corner[3] = {(int32_t)(x << shift), (int32_t)(y << shift), (int32_t)(z << shift)};
+    switch (svo_solid_node(r->winding, corner, (int32_t)1 << shift, &r->asked)) {
+    case SVO_SIDE_OUTSIDE: return SVO_BIN_SKIP;
+    case SVO_SIDE_INSIDE: return SVO_BIN_FULL;
+    case SVO_SIDE_MIXED: break;
+    }
+    return SVO_BIN_SPLIT;
+}
+
+/* --- nearest surface voxel of the block --------------------------------------------------------------------------- */
+
+typedef struct search {
+    const svo_block *block;
+    int32_t at[3];  /* in half voxels from the block's corner */
+    int32_t best;   /* squared distance to the centre of `code`, half voxels */
+    uint32_t code;
+} search;
+
+static void search_brick(search *s, uint32_t brick)
+{
+    uint32_t low[3];
+    svo_morton_decode((uint64_t)brick << 6, &low[0], &low[1], &low[2]);
+    int32_t square[3][4];
+    for (int k = 0; k < 3; k++)
+        for (int i = 0; i < 4; i++) {
+            int32_t d = 2 * ((int32_t)low[k] + i) + 1 - s->at[k];
+            square[k][i] = d * d;
+        }
+    for (uint64_t bits = s->block->bricks[brick]; bits != 0; bits &= bits - 1) {
+        uint32_t b = (uint32_t)__builtin_ctzll(bits);
+        int32_t d = square[0][(b & 1) | (b >> 2 & 2)] + square[1][(b >> 1 & 1) | (b >> 3 & 2)] + square[2][(b >> 2 & 1) | (b >> 4 & 2)];
+        if (d < s->best || (d == s->best && (brick << 6 | b) < s->code)) s->best = d, s->code = brick << 6 | b;
+    }
+}
+
+/* Squared distance, in half voxels, from the point to the slab of bricks at `i` along an axis. */
+static int32_t slab_gap(int32_t at, int32_t i)
+{
+    int32_t low = 8 * i, d = at < low ? low - at : at > low + 8 ? at - low - 8 : 0;
+    return d * d;
+}
+
+/* The surface voxel nearest to the middle of an entry, ties to the smaller code; false when the block may not hold the nearest. */
+static bool nearest_voxel(const svoi_scan *s, const svo_block *block, uint32_t entry, uint32_t levels, uint32_t *code)
+{
+    uint32_t at[3];
+    svo_morton_decode(svo_solid_code(entry), &at[0], &at[1], &at[2]);
+    search q = {.block = block, .best = INT32_MAX, .code = UINT32_MAX};
+    const int32_t half = 1 << svo_solid_height(entry), bricks = levels > 2 ? 1 << (levels - 2) : 1;
+    int32_t home[3];
+    for (int k = 0; k < 3; k++) {
+        q.at[k] = 2 * (int32_t)at[k] + half;
+        home[k] = q.at[k] >> 3;
+    }
+    for (int32_t ring = 0; ring < bricks; ring++) {
+        bool nearer = false; /* could a brick of this ring hold a nearer voxel? */
+        for (int32_t z = home[2] - ring; z <= home[2] + ring; z++) {
+            int32_t gz = slab_gap(q.at[2], z);
+            if (z < 0 || z >= bricks || gz > q.best) continue;
+            for (int32_t y = home[1] - ring; y <= home[1] + ring; y++) {
+                int32_t gy = gz + slab_gap(q.at[1], y);
+                if (y < 0 || y >= bricks || gy > q.best) continue;
+                bool edge = z == home[2] - ring || z == home[2] + ring || y == home[1] - ring || y == home[1] + ring;
+                for (int32_t x = home[0] - ring; x <= home[0] + ring; x += edge || ring == 0 ? 1 : 2 * ring) {
+                    if (x < 0 || x >= bricks || gy + slab_gap(q.at[0], x) > q.best) continue;
+                    nearer = true;
+                    uint32_t brick = (uint32_t)svo_morton_encode((uint32_t)x, (uint32_t)y, (uint32_t)z);
+                    if (block->bricks[brick] != 0) search_brick(&q, brick);
+                }
+            }
+        }
+        if (!nearer) break;
+    }
+    if (q.code == UINT32_MAX) return false;
+    /* the block's own faces, where the grid goes on behind them */
+    const int32_t side = 2 << levels, grid = (int32_t)1 << s->r->info->depth;
+    for (int k = 0; k < 3; k++) {
+        int32_t down = q.at[k], up = side - q.at[k];
+        if ((s->corner_axis[k] > 0 && down * down < q.best) || (s->corner_axis[k] + side / 2 < grid && up * up < q.best)) return false;
+    }
+    *code = q.code;
+    return true;
+}
+
+/* --- values ------------------------------------------------------------------------------------------------------- */
+
+/* Values at the point of the mesh nearest to the middle of a node whose low corner and size are given in voxels. */
+static void mesh_values(svoi_scan *s, const int32_t low[3], int32_t size, uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE])
+{
+    svoi_worker *w = s->w;
+    int32_t p[3];
+    uint32_t triangle;
+    double barycentric[3];
+    for (int k = 0; k < 3; k++) p[k] = low[k] * SVO_RASTER_UNIT + size * (SVO_RASTER_UNIT / 2);
+    if (!svo_winding_nearest(s->r->winding, p, &triangle, barycentric)) return; /* nothing is inside of no mesh */
+    if (triangle != w->nearest_triangle) {
+        svo_facet_make_points(s->r->shader, triangle, &w->nearest);
+        w->nearest_triangle = triangle;
+    }
+    svo_facet_point(s->r->shader, &w->nearest, barycentric, values);
+}
+
+/* For every value the number of the surface voxel that it takes after, or ASK_MESH. */
+static bool find_sources(svoi_scan *s, uint32_t levels)
+{
+    svoi_worker *w = s->w;
+    const svo_block *b = w->block;
+    const uint32_t *entries = (const uint32_t *)(const void *)w->entries.data;
+    uint64_t count = w->entries.size / sizeof *entries;
+    w->sources.size = 0;
+    uint32_t *source = svo_buffer_append(&w->sources, NULL, count * sizeof *source), surface = 0;
+    if (source == NULL) return false;
+    for (uint64_t i = 0; i < count; i++) {
+        uint32_t code;
+        if (entries[i] & SVO_SOLID_SURFACE) source[i] = surface++;
+        else if (svo_solid_height(entries[i]) <= NEAR_HEIGHT && nearest_voxel(s, b, entries[i], levels, &code)) source[i] = svo_block_index(b, code);
+        else source[i] = ASK_MESH;
+    }
+    return true;
+}
+
+/* The values of surface and inside in order, from those of the surface. */
+static bool fill_values(svoi_scan *s, uint32_t levels)
+{
+    svoi_run *r = s->r;
+    svoi_worker *w = s->w;
+    if (!find_sources(s, levels)) return false;
+    const uint32_t *entries = (const uint32_t *)(const void *)w->entries.data, *source = (const uint32_t *)(const void *)w->sources.data;
+    uint64_t count = w->entries.size / sizeof *entries, bytes = 0;
+    for (uint32_t c = 0; c < r->info->channel_count; c++)
+        if (!r->info->channels[c].constant) bytes += count * svo_channel_stride(r->info->channels[c].kind);
+    w->filled.size = 0;
+    if (svo_buffer_append(&w->filled, NULL, bytes) == NULL) return false;
+    uint8_t *to = w->filled.data, *first[SVO_MAX_CHANNELS] = {NULL};
+    for (uint32_t c = 0; c < r->info->channel_count; c++) {
+        if (r->info->channels[c].constant) continue;
+        uint32_t stride = svo_channel_stride(r->info->channels[c].kind);
+        const uint8_t *from = s->channels[c];
+        first[c] = to;
+        for (uint64_t i = 0; i < count; i++, to += stride)
+            if (source[i] != ASK_MESH) memcpy(to, from + (uint64_t)source[i] * stride, stride);
+    }
+    for (uint64_t i = 0; i < count; i++) {
+        if (source[i] != ASK_MESH) continue;
+        uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE] = {{0}};
+        uint32_t at[3];
+        svo_morton_decode(svo_solid_code(entries[i]), &at[0], &at[1], &at[2]);
+        const int32_t low[3] = {s->corner_axis[0] + (int32_t)at[0], s->corner_axis[1] + (int32_t)at[1], s->corner_axis[2] + (int32_t)at[2]};
+        mesh_values(s, low, (int32_t)1 << svo_solid_height(entries[i]), values);
+        for (uint32_t c = 0; c < r->info->channel_count; c++) {
+            uint32_t stride = svo_channel_stride(r->info->channels[c].kind);
+            if (first[c] != NULL) memcpy(first[c] + i * stride, values[c], stride);
+        }
+    }
+    for (uint32_t c = 0; c < r->info->channel_count; c++) s->channels[c] = first[c];
+    return true;
+}
+
+static bool varies(const svoi_run *r)
+{
+    for (uint32_t c = 0; c < r->info->channel_count; c++)
+        if (!r->info->channels[c].constant) return true;
+    return false;
+}
+
+/* An item that is one full leaf: its values go into the worker's `filled`. */
+static svo_result full_item(svoi_scan *s, uint32_t level, svo_chunk *chunk, svo_error *err)
+{
+    const svoi_run *r = s->r;
+    svoi_worker *w = s->w;
+    uint32_t shift = r->info->depth - level, x, y, z;
+    *chunk = (svo_chunk){.code = s->it->code, .level = level, .depth = r->info->depth, .value_count = 1};
+    if (!varies(r)) return SVO_OK;
+    uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE] = {{0}};
+    svo_morton_decode(s->it->code, &x, &y, &z);
+    const int32_t low[3] = {(int32_t)(x << shift), (int32_t)(y << shift), (int32_t)(z << shift)};
+    mesh_values(s, low, (int32_t)1 << shift, values);
+    w->filled.size = 0;
+    if (svo_buffer_append(&w->filled, values, sizeof values) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+    for (uint32_t c = 0; c < r->info->channel_count; c++)
+        if (!r->info->channels[c].constant) chunk->channels[c] = w->filled.data + c * SVO_MAX_STRIDE;
+    return SVO_OK;
+}
+
+svo_result svoi_solid_chunk(svoi_scan *s, uint32_t levels, svo_chunk *chunk, bool *any, svo_error *err)
+{
+    svoi_run *r = s->r;
+    svoi_worker *w = s->w;
+    svoi_item *it = s->it;
+    *any = true;
+    if (it->full) {
+        SVO_TRY(full_item(s, it->level, chunk, err));
+    } else {
+        const bool values_vary = varies(r);
+        bool full = false;
+        uint64_t values = 0;
+        if (w->solid == NULL) w->solid = svo_solid_create(r->allocator);
+        w->masks.size = w->entries.size = 0;
+        if (w->solid == NULL || !svo_solid_fill(w->solid, w->block, r->winding, s->corner_axis, levels, it->level > 0, &w->masks,
+                                                values_vary ? &w->entries : NULL, &values, &full, &it->asked))
+            return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+        *any = values != 0;
+        if (!*any) return SVO_OK;
+        if (full) {
+            SVO_TRY(full_item(s, it->level, chunk, err));
+        } else {
+            *chunk = (svo_chunk){.code = it->code, .level = it->level, .depth = r->info->depth, .masks = w->masks.data, .node_count = w->masks.size, .value_count = values};
+            if (values_vary && !fill_values(s, levels)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+            for (uint32_t c = 0; c < r->info->channel_count; c++)
+                if (!r->info->channels[c].constant) chunk->channels[c] = s->channels[c];
+        }
+    }
+    return svo_chunk_check(r->info, chunk, &it->tree, err);
+}

@@ -1,0 +1,32 @@
+/* Internal to libsvo: parts of svo_winding. */
+#ifndef SVOI_WINDING_H
+#define SVOI_WINDING_H
+
+#include "svo_winding.h"
+#include "svoi_tritree.h"
+
+enum { SVOI_ORIENTED = 0, SVOI_EVEN = 1, SVOI_OPEN = 2, SVOI_SKIPPED = 3, SVOI_CLASSES = 3, SVOI_TURNED = 4 /* a bit beside the class */ };
+
+/* An edge at which open parts end. */
+typedef struct svoi_boundary_edge {
+    int32_t a[3], b[3];
+    uint32_t times; /* uses in one direction that the other does not have */
+} svoi_boundary_edge;
+
+typedef struct svoi_edges_input {
+    const svo_bins *bins;
+    uint64_t count;  /* triangles */
+    uint8_t *kind;   /* of each triangle: SVOI_SKIPPED on entry where it is not to be looked at, else 0; the class and SVOI_TURNED on return */
+    uint32_t threads;
+    const svo_allocator *allocator;
+} svoi_edges_input;
+
+/* Classify triangles by the edges of the snapped mesh. `balanced` may be told by the caller (see svoi_edge_sum): then nothing has to be
+ * done. Boundary edges are appended to `boundary` (svoi_boundary_edge). */
+svo_result svoi_edges_classify(const svoi_edges_input *in, svo_buffer *boundary, svo_error *err);
+
+/* Sum over the directed edges of a triangle of a random number for the edge, negative in one direction: over a mesh whose edges are all
+ * used equally often in both directions it is 0, over others it is not but for one in 2^128. */
+void svoi_edge_sum(const int32_t q[3][3], uint64_t sum[2]);
+
+#endif
