@@ -3,6 +3,8 @@
 
 #include "svoi_palette.h"
 
+#include <stdio.h>
+
 /* --- components, lines, lattices --------------------------------------------------------------------------------- */
 
 uint32_t svo_lattice_components(svo_channel_kind kind)
@@ -361,4 +363,18 @@ svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo
         if (p->payload[end + i] != 0) return bad(err, 0, "padding is not 0");
     if (stats != NULL) *stats = local;
     return SVO_OK;
+}
+
+void svo_block_name(uint32_t mode, char *out, size_t size)
+{
+    if (mode < SVO_BLOCK_ONE_WIDE) snprintf(out, size, "one");
+    else if (mode == SVO_BLOCK_ONE_WIDE) snprintf(out, size, "one, wide");
+    else if (mode == SVO_BLOCK_RAW) snprintf(out, size, "indices");
+    else if (mode == SVO_BLOCK_BOX) snprintf(out, size, "lattice");
+    else if (mode == SVO_BLOCK_BOX_RUNS) snprintf(out, size, "lattice with runs");
+    else if (mode < SVO_BLOCK_LINE_RUNS) snprintf(out, size, "line %u bits", mode - SVO_BLOCK_LINE + 2);
+    else if (mode < SVO_BLOCK_PALETTE) snprintf(out, size, "line %u bits with runs", mode - SVO_BLOCK_LINE_RUNS + 2);
+    else if (mode < SVO_BLOCK_PALETTE_RUNS) snprintf(out, size, "palette %u bits", mode - SVO_BLOCK_PALETTE + 1);
+    else if (mode < SVO_BLOCK_MODES) snprintf(out, size, "palette %u bits with runs", mode - SVO_BLOCK_PALETTE_RUNS + 2);
+    else snprintf(out, size, "?");
 }

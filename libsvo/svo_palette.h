@@ -38,6 +38,9 @@ enum {
     SVO_BLOCK_MODES = 27
 };
 
+/* What people call a mode, e.g. "palette 3 bits with runs"; "?" for a number that is none. */
+void svo_block_name(uint32_t mode, char *out, size_t size);
+
 /* Blocks as they lie in a file or in memory. Checked with svo_palette_check before anything is read from them. */
 typedef struct svo_palette {
     svo_channel_kind kind;

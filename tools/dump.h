@@ -18,11 +18,15 @@ typedef struct dump_job {
     bool quick;         /* hashes only; nothing that needs decoding */
     const char *voxels; /* PLY to write, or NULL */
     uint64_t limit;     /* voxels that --voxels may write */
+    const char *source; /* .svo to hold a .svdag against, or NULL */
     json_t *json;       /* filled by the functions below */
 } dump_job;
 
 svo_result dump_svo(dump_job *j, svo_error *err);
 svo_result dump_svdag(dump_job *j, svo_error *err);
+/* Hold a packed octree against the .svo j->source: voxels, attributes, and the bounds that its provenance promises; "source" of j->json says what was found. SVO_INVALID_DATA
+ * where something does not hold. Memory: the source packed without loss. */
+svo_result dump_against_source(dump_job *j, const svo_view *v, const char *provenance, svo_error *err);
 svo_result dump_scene(dump_job *j, svo_error *err);
 svo_result dump_skel(dump_job *j, svo_error *err);
 

@@ -1,6 +1,7 @@
 /* svo-dump of a .svdag. */
 #include "dump.h"
 
+#include <stdio.h>
 #include <string.h>
 
 #include "fmt_svdag.h"
@@ -72,18 +73,109 @@ static svo_result write_voxels(dump_job *j, const svo_view *v, svo_error *err)
     return r;
 }
 
-/* How often nodes are really stored, beside how often they appear. */
+/* How often nodes are really stored, beside how often they appear, and the bytes of what is stored level by level. */
 static void put_stored(json_t *o, const svo_view *v)
 {
     json_t *levels = json_object_get(o, "levels");
+    svo_view_section part[SVO_VIEW_SECTIONS];
+    uint32_t parts = svo_view_sections(v, part);
     uint64_t stored = 0;
     for (uint32_t l = 0; l <= v->brick_level; l++) {
-        uint64_t n = svo_view_stored(v, l);
-        if (l <= v->depth) cli_put_u64(json_array_get(levels, l), "stored", n);
+        uint64_t n = svo_view_stored(v, l), bytes = 0;
+        for (uint32_t i = 0; i < parts; i++) bytes += part[i].level == l ? part[i].bytes : 0;
         if (l < v->brick_level) stored += n;
+        if (l > v->depth) continue;
+        json_t *level = json_array_get(levels, l);
+        cli_put_u64(level, "stored", n);
+        if (n != 0) cli_put_f64(level, "sharing", (double)v->nodes[l] / (double)n);
+        if (bytes != 0) cli_put_u64(level, "bytes", bytes);
     }
     cli_put_u64(o, "stored_nodes", stored);
     cli_put_u64(o, "stored_bricks", svo_view_stored(v, v->brick_level));
+}
+
+/* Blocks of the attribute coder by mode: how many, of how many values, in how many bits. */
+static svo_result put_blocks(json_t *o, const svo_view *v, svo_error *err)
+{
+    json_t *list = json_array();
+    json_object_set_new(o, "blocks", list);
+    for (uint32_t c = 0; c < v->channel_count; c++) {
+        if (v->channels[c].encoding != SVO_ENCODING_BLOCKS) continue;
+        svo_palette p = svo_view_palette(v, c);
+        svo_palette_stats stats;
+        SVO_TRY(svo_palette_check(&p, &stats, err));
+        stats.blocks[0] += stats.blocks[1]; /* one mode, whose number has a bit of the index */
+        stats.values[0] += stats.values[1];
+        stats.bits[0] += stats.bits[1];
+        for (uint32_t m = 0; m < SVO_BLOCK_MODES; m++) {
+            if (stats.blocks[m] == 0 || m == 1) continue;
+            char name[32];
+            json_t *b = json_object();
+            cli_put_text(b, "channel", v->channels[c].channel.name);
+            svo_block_name(m, name, sizeof name);
+            cli_put_text(b, "mode", name);
+            cli_put_u64(b, "blocks", stats.blocks[m]);
+            cli_put_u64(b, "values", stats.values[m]);
+            cli_put_f64(b, "bits_per_value", stats.values[m] != 0 ? (double)stats.bits[m] / (double)stats.values[m] : 0);
+            json_array_append_new(list, b);
+        }
+    }
+    return SVO_OK;
+}
+
+enum { COSTS = 6 };
+typedef struct cost { char what[48]; uint64_t bytes; } cost;
+
+static void add_cost(cost *list, uint32_t *count, const char *what, uint64_t bytes)
+{
+    uint32_t at = *count < COSTS ? (*count)++ : COSTS;
+    while (at > 0 && bytes > list[at - 1].bytes) {
+        if (at < COSTS) list[at] = list[at - 1];
+        at--;
+    }
+    if (at == COSTS) return;
+    snprintf(list[at].what, sizeof list[at].what, "%s", what);
+    list[at].bytes = bytes;
+}
+
+/* The parts that take most of the file. */
+static void put_costs(const dump_job *j, const svo_view *v)
+{
+    cost list[COSTS + 1];
+    uint32_t count = 0;
+    char what[48];
+    svo_view_section part[SVO_VIEW_SECTIONS];
+    uint32_t parts = svo_view_sections(v, part);
+    for (uint32_t i = 0; i < parts; i++) {
+        if (part[i].level <= SVO_MAX_DEPTH) snprintf(what, sizeof what, "geometry, %.4s of level %u", part[i].type, part[i].level);
+        else snprintf(what, sizeof what, "geometry, %.4s", part[i].type);
+        add_cost(list, &count, what, part[i].bytes);
+    }
+    for (uint32_t c = 0; c < v->channel_count; c++) {
+        const svo_view_channel *k = &v->channels[c];
+        uint32_t stride = svo_channel_stride(k->channel.kind);
+        if (k->encoding == SVO_ENCODING_CONSTANT) continue;
+        if (k->encoding == SVO_ENCODING_RAW) {
+            snprintf(what, sizeof what, "%.16s, values", k->channel.name);
+            add_cost(list, &count, what, stride * v->attribute_count);
+            continue;
+        }
+        const char *const names[] = {"blocks", "directory", "table"};
+        const uint64_t bytes[] = {k->payload_size, SVO_PALETTE_ENTRY * k->superblock_count, stride * k->table_count};
+        for (int i = 0; i < 3; i++) {
+            snprintf(what, sizeof what, "%.16s, %s", k->channel.name, names[i]);
+            add_cost(list, &count, what, bytes[i]);
+        }
+    }
+    json_t *costs = json_array();
+    for (uint32_t i = 0; i < count && list[i].bytes != 0; i++) {
+        json_t *o = json_object();
+        cli_put_text(o, "what", list[i].what);
+        cli_put_u64(o, "bytes", list[i].bytes);
+        cli_put_f64(o, "share", (double)list[i].bytes / (double)j->size);
+        json_array_append_new(costs, o);
+    }
+    json_object_set_new(j->json, "largest_costs", costs);
 }
 
 static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)
@@ -93,6 +185,7 @@ static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)
     uint32_t low[3] = {0}, high[3] = {0};
     if (!j->quick) SVO_TRY(svo_view_grid_bounds(v, j->allocator, &any, low, high, err));
     if (j->voxels != NULL) SVO_TRY(write_voxels(j, v, err));
+    if (j->source != NULL) SVO_TRY(dump_against_source(j, v, f->provenance, err));
     dump_container(j, &f->container);
     dump_grid(j->json, v->depth, v->voxel_to_world, v->surface, v->fill);
     if (!j->quick) dump_bounds(j->json, any, low, high, v->voxel_to_world);
@@ -101,6 +194,8 @@ static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)
     json_object_set_new(j->json, "lod", json_boolean(v->lod));
     cli_put_u64(j->json, "attribute_count", v->attribute_count);
     json_object_set_new(j->json, "attributes", dump_view_channels(v, &f->container));
+    if (!j->quick) SVO_TRY(put_blocks(j->json, v, err));
+    put_costs(j, v);
     dump_sections(j, &f->container);
     dump_provenance(j->json, f->provenance);
     return SVO_OK;

@@ -100,6 +100,8 @@ static void print_levels(const json_t *list)
         const json_t *stored = json_object_get(e, "stored");
         printf("%2" PRIu64 " %14" PRIu64 " nodes", count_of(e, "level"), count_of(e, "nodes"));
         if (stored != NULL) printf(" %14" PRIu64 " stored", count_of(e, "stored"));
+        if (json_object_get(e, "sharing") != NULL) printf(" %10.4gx", json_real_value(json_object_get(e, "sharing")));
+        if (json_object_get(e, "bytes") != NULL) printf(" %14" PRIu64 " bytes", count_of(e, "bytes"));
         putchar('\n');
     }
 }

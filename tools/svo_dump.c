@@ -7,6 +7,7 @@
 static svo_result dump_bytes(dump_job *j, svo_error *err)
 {
     uint32_t kind = fmt_container_kind(j->data, j->size);
+    if (j->source != NULL && kind != FMT_KIND_SVDAG) return svo_fail(err, SVO_UNSUPPORTED, "--source is for .svdag files");
     if (kind == FMT_KIND_SVO) return dump_svo(j, err);
     if (kind == FMT_KIND_SVDAG) return dump_svdag(j, err);
     if (kind == FMT_KIND_SCENE) return dump_scene(j, err);
@@ -69,10 +70,12 @@ static json_t *verdict(const dump_job *j, svo_result r, const svo_error *err)
         json_array_append_new(messages, m);
     }
     json_object_set_new(o, "messages", messages);
+    json_t *source = json_object_get(j->json, "source");
+    if (source != NULL) json_object_set(o, "source", source);
     return o;
 }
 
-typedef struct dump_options { bool json, validate, quick; const char *voxels; uint64_t limit; } dump_options;
+typedef struct dump_options { bool json, validate, quick; const char *voxels, *source; uint64_t limit; } dump_options;
 
 /* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
 static svo_result run(cli *c, const dump_options *o, svo_error *err)
@@ -86,7 +89,7 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
     for (int i = 0; i < c->input_count; i++) {
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
-                      .voxels = o->voxels, .limit = o->limit, .json = json_object()};
+                      .voxels = o->voxels, .limit = o->limit, .source = o->source, .json = json_object()};
         svo_result r = dump_file(&j, &e);
         if (r != SVO_OK) {
             if (first == SVO_OK) first = r, *err = e;
@@ -114,6 +117,8 @@ int main(int argc, char **argv)
     cli_option options[] = {
         {.name = "json", .kind = CLI_FLAG, .value = &o.json, .help = "Print JSON: an object, or an array for several files."},
         {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary."},
+        {.name = "source", .kind = CLI_TEXT, .value = &o.source, .argument = "SRC.svo", .no_default = true,
+         .help = "With --validate of a .svdag: hold it against the octree it was made from: voxels, attributes and the error bounds it promises."},
         {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
          .help = "Write every finest voxel to a binary PLY point cloud; - is stdout, then nothing else is printed."},
         {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels writes."},
@@ -136,6 +141,8 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     if (o.voxels != NULL && c.input_count != 1) return cli_usage(&c, "--voxels takes one FILE");
     if (o.voxels != NULL && o.validate) return cli_usage(&c, "--voxels and --validate exclude each other (--voxels validates as well)");
+    if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
+    if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
     svo_error err = {0};
     svo_result r = run(&c, &o, &err);

@@ -174,4 +174,69 @@ def test_scene(folder):
     check(tool("svo-dump", out).code == 0 and tool("svo-dump", "--validate", out).code == 0)
 
 
+def noisy_glb(path):
+    """A cube whose texture has many colours."""
+    texture = support.write_png(None, 32, 32, lambda x, y: (x * 37 % 256, y * 59 % 256, (x * y) % 256))
+    return support.cube_glb(path, texture=texture)
+
+
+def test_blocks_sharing_and_costs(folder):
+    glb, svo, dag = noisy_glb(folder / "n.glb"), folder / "n.svo", folder / "n.svdag"
+    run("svo-voxelize", glb, "-o", svo, "--depth", 6)
+    for options in ((), ("--color", "deltaE=3"), ("--lod", "none", "--geometry", "svdag")):
+        run("svo-compress", svo, "-o", dag, "-f", *options)
+        d = run("svo-dump", dag, "--json").json
+        count = d["attribute_count"]
+        coded = {a["name"] for a in d["attributes"] if a["encoding"] == "blocks"}
+        check("color" in coded and {b["channel"] for b in d["blocks"]} == coded, d["blocks"])
+        for name in coded:  # the last superblock is filled up
+            values = sum(b["values"] for b in d["blocks"] if b["channel"] == name)
+            check(count <= values < count + 1024, (values, count))
+            bits = sum(b["values"] * b["bits_per_value"] for b in d["blocks"] if b["channel"] == name)
+            check(bits / 8 <= next(a["bytes"] for a in d["attributes"] if a["name"] == name), bits)
+        check(len({(b["channel"], b["mode"]) for b in d["blocks"]}) == len(d["blocks"]), "a mode is listed twice")
+        costs = [c["bytes"] for c in d["largest_costs"]]
+        check(costs == sorted(costs, reverse=True) and sum(costs) < d["bytes"] and all(abs(c["share"] - c["bytes"] / d["bytes"]) < 1e-12 for c in d["largest_costs"]), d["largest_costs"])
+        for level in d["levels"]:
+            if "stored" in level and level["stored"]:
+                check(abs(level["sharing"] - level["nodes"] / level["stored"]) < 1e-9 and level["sharing"] >= 1, level)
+        text = run("svo-dump", dag).out.decode()
+        check("largest costs" in text and "blocks" in text, text)
+
+
+def test_held_against_its_source(folder):
+    glb, svo, dag = noisy_glb(folder / "n.glb"), folder / "n.svo", folder / "n.svdag"
+    run("svo-voxelize", glb, "-o", svo, "--depth", 6)
+    for color, normal, lod in (("lossless", "lossless", "all"), ("deltaE=2", "deg=3", "all"), ("deltaE=0.5", "lossless", "none"), ("6", "12", "all")):
+        run("svo-compress", svo, "-o", dag, "-f", "--color", color, "--normal", normal, "--lod", lod)
+        v = run("svo-dump", dag, "--validate", "--json", "--source", svo).json
+        check(v["valid"] and v["source"]["same_voxels"], v)
+        for c in v["source"]["channels"]:
+            bound = {"color": color, "normal": normal}[c["name"]]
+            bound = 0 if bound == "lossless" else float(bound.split("=")[1]) if "=" in bound else None
+            check(c["bound"] == bound and c["holds"] and (bound is None or c["max"] <= bound * 1.000001 + 1e-6), c)
+            check(color == "lossless" or c["name"] != "color" or c["max"] > 0, c)
+
+    def refused(what, *args):
+        r = tool("svo-dump", dag, "--validate", "--source", *args)
+        check(r.code == 3 and what in r.err, r)
+
+    glb2 = support.cube_glb(folder / "m.glb", texture=support.write_png(None, 32, 32, lambda x, y: (x * 37 % 256, y * 59 % 256, 255 - (x * y) % 256)))
+    run("svo-voxelize", glb2, "-o", folder / "m.svo", "--depth", 6)
+    run("svo-compress", svo, "-o", dag, "-f", "--color", "deltaE=2")
+    refused("more than the 2", folder / "m.svo")  # other colours
+    run("svo-voxelize", glb, "-o", folder / "d.svo", "--depth", 5)
+    refused("depth", folder / "d.svo")
+    run("svo-voxelize", glb, "-o", folder / "t.svo", "--depth", 6, "--surface", "thin", "--attributes", "color,normal,roughness")
+    r = tool("svo-dump", dag, "--validate", "--source", folder / "t.svo")
+    check(r.code == 3, r)
+    run("svo-voxelize", glb, "-o", folder / "g.svo", "--depth", 6, "--attributes", "normal")
+    r = tool("svo-dump", dag, "--validate", "--source", folder / "g.svo")
+    check(r.code == 3, r)
+    check(tool("svo-dump", svo, "--validate", "--source", svo).code == 5)
+    check(tool("svo-dump", dag, "--source", svo).code == 1)
+    check(tool("svo-dump", dag, dag, "--validate", "--source", svo).code == 1)
+    check(tool("svo-dump", dag, "--validate", "--source", folder / "none.svo").code == 2)
+
+
 support.main(globals())
