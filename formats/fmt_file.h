@@ -50,6 +50,9 @@ svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_alloca
  * so that it takes no memory. */
 svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *err);
 void fmt_bytes_close(fmt_bytes *b);
+/* Part of the bytes of a MAPPED file need not stay in this process's memory: they are read from the file again when they are
+ * used again. */
+void fmt_bytes_forget(const void *bytes, uint64_t size);
 /* An unnamed file for scratch data, in TMPDIR or /tmp; read and write. Closed by the caller with close(). */
 svo_result fmt_scratch_file(int *fd, svo_error *err);
 
@@ -67,6 +70,8 @@ void fmt_input_close(fmt_input *in);
 void fmt_hash_text(const uint8_t hash[16], char out[33]);
 /* The XXH3-128 of bytes, as such a text. */
 void fmt_hash_hex(const void *bytes, uint64_t size, char out[33]);
+/* The same of a file that may be mapped, which is not kept in memory for it. */
+void fmt_hash_file(const void *bytes, uint64_t size, bool mapped, char out[33]);
 
 #ifdef __cplusplus
 }

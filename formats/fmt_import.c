@@ -98,11 +98,29 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->block_bytes = o->block_bytes;
     c->file_read = o->file_read;
     c->file_read_user = o->file_read_user;
+    c->spill = o->memory != 0 ? o->spill : NULL;
+    c->memory = o->memory;
     const char *slash = strrchr(path, '/');
     size_t n = slash != NULL ? (size_t)(slash - path) + 1 : 0;
     if (n >= sizeof c->folder) return svo_fail(err, SVO_INVALID_ARGUMENT, "%.100s...: the path is too long", path);
     memcpy(c->folder, path, n);
     return SVO_OK;
+}
+
+static bool can_spill(import_reader *reader) { return reader == import_obj || reader == import_ply || reader == import_stl || reader == import_off; }
+
+/* A file that is small beside the memory is read into it. Arrays grow by copying and text is shorter than numbers, so a file may take four times
+ * its size while it is read. What turns out not to fit after all is read again, into the spill. */
+static svo_result read_model(import_context *c, import_reader *reader, const fmt_bytes *bytes, svo_mesh *mesh, svo_error *err)
+{
+    c->mapped = bytes->mapped;
+    if (c->spill == NULL || !can_spill(reader)) return reader(c, bytes->data, bytes->size, mesh, err);
+    c->spilling = bytes->size > c->memory / 4;
+    svo_result r = reader(c, bytes->data, bytes->size, mesh, err);
+    if (r != SVO_OUT_OF_MEMORY || c->spilling) return r;
+    svo_mesh_free(mesh);
+    c->spilling = true;
+    return reader(c, bytes->data, bytes->size, mesh, err);
 }
 
 svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, svo_mesh *out, svo_error *err)
@@ -127,7 +145,7 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
     else if (empty)
         r = svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
     else
-        r = reader(c, bytes.data, bytes.size, &mesh, err);
+        r = read_model(c, reader, &bytes, &mesh, err);
     fmt_bytes_close(&bytes);
     if (r == SVO_OK) {
         if (svo_mesh_count(&mesh).placed_triangles == 0) svo_warn(c->warnings, "%s: no triangles", path);

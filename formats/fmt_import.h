@@ -3,6 +3,7 @@
 #define FMT_IMPORT_H
 
 #include "svo_mesh.h"
+#include "svo_spill.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -19,8 +20,12 @@ typedef struct fmt_import_options {
     /* Called for every file that was read, the model first and then what it refers to (materials, buffers, textures), in
      * the order of reading, with its path as it was opened and its bytes, which are valid during the call only. May be
      * NULL. An image that is used twice may be read, and told, twice. */
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size);
+    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
     void *file_read_user;
+    /* Where a mesh goes that does not fit in `memory` bytes (0 = no limit) beside its builder: its parts are spilled then
+     * (svo_soup.h). Works for OBJ, PLY, STL and OFF; other formats are read into memory. NULL: never. */
+    const svo_spill *spill;
+    uint64_t memory;
 } fmt_import_options;
 
 /* Format by content first, then by extension: .gltf .glb .obj .ply .stl .off .drc. Unknown = SVO_UNSUPPORTED; a file

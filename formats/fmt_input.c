@@ -137,6 +137,12 @@ svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *e
     return r;
 }
 
+void fmt_bytes_forget(const void *bytes, uint64_t size)
+{
+    const uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE), begin = ((uintptr_t)bytes + page - 1) / page * page, end = ((uintptr_t)bytes + (uintptr_t)size) / page * page;
+    if (begin < end) (void)madvise((void *)begin, end - begin, MADV_DONTNEED);
+}
+
 void fmt_bytes_close(fmt_bytes *b)
 {
     if (b == NULL || b->data == NULL) return;
@@ -246,5 +252,26 @@ void fmt_hash_hex(const void *bytes, uint64_t size, char out[33])
 {
     XXH128_canonical_t c;
     XXH128_canonicalFromHash(&c, XXH3_128bits(size != 0 ? bytes : "", (size_t)size));
+    fmt_hash_text(c.digest, out);
+}
+
+void fmt_hash_file(const void *bytes, uint64_t size, bool mapped, char out[33])
+{
+    enum { AT_A_TIME = 8 << 20 };
+    XXH3_state_t *state = mapped && size > AT_A_TIME ? XXH3_createState() : NULL;
+    if (state == NULL) {
+        fmt_hash_hex(bytes, size, out);
+        return;
+    }
+    XXH3_128bits_reset(state);
+    const uint8_t *p = bytes;
+    for (uint64_t n; size != 0; size -= n, p += n) {
+        n = size < AT_A_TIME ? size : AT_A_TIME;
+        XXH3_128bits_update(state, p, (size_t)n);
+        fmt_bytes_forget(p, n);
+    }
+    XXH128_canonical_t c;
+    XXH128_canonicalFromHash(&c, XXH3_128bits_digest(state));
+    XXH3_freeState(state);
     fmt_hash_text(c.digest, out);
 }

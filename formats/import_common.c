@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 
 #include "fmt_image.h"
+#include "svo_soup.h"
 
 typedef struct import_image_key {
     char *text;
@@ -51,7 +52,7 @@ static bool join(const import_context *c, const char *below, char path[IMPORT_PA
 svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err)
 {
     SVO_TRY(fmt_bytes_open(path, c->max_file_bytes, c->allocator, out, err));
-    if (c->file_read != NULL) c->file_read(c->file_read_user, path, out->data, out->size);
+    if (c->file_read != NULL) c->file_read(c->file_read_user, path, out->data, out->size, out->mapped);
     return SVO_OK;
 }
 
@@ -134,6 +135,11 @@ uint64_t import_block_bytes(const import_context *c, uint64_t size)
 {
     uint64_t least = c->block_bytes != 0 ? c->block_bytes : 1 << 20;
     return least < size / 2048 ? size / 2048 : least;
+}
+
+void import_forget(const import_context *c, const void *begin, const void *p)
+{
+    if (c->mapped && c->spilling) fmt_bytes_forget(begin, (uint64_t)((const uint8_t *)p - (const uint8_t *)begin));
 }
 
 /* --- images --- */
@@ -247,6 +253,11 @@ svo_result import_exact(svo_buffer *b, size_t elem, void **out, uint64_t *count,
 
 void import_part_free(const svo_allocator *a, svo_part *part)
 {
+    svo_soup_free(part->soup);
+    if (part->soup != NULL) {
+        part->soup = NULL;
+        return;
+    }
     svo_free(a, part->positions, part->vertex_count, 3 * sizeof(double));
     svo_free(a, part->normals, part->vertex_count, 3 * sizeof(float));
     for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) svo_free(a, part->uvs[u], part->vertex_count, 2 * sizeof(float));

@@ -21,8 +21,12 @@ typedef struct import_context {
     uint32_t threads;     /* 0 = all */
     uint64_t block_bytes; /* as in fmt_import_options */
     bool skip_images;
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size); /* may be NULL */
+    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped); /* may be NULL */
     void *file_read_user;
+    const svo_spill *spill; /* may be NULL */
+    uint64_t memory;        /* what a spilling import may take, about */
+    bool spilling;          /* read window by window into the spill */
+    bool mapped;            /* the model's bytes are a mapped file */
 } import_context;
 
 /* --- files beside the model --- */
@@ -39,6 +43,9 @@ svo_result import_open(const import_context *c, const char *path, fmt_bytes *out
 
 /* Least part of a text of `size` bytes that is read on its own: not so small that the bookkeeping of blocks counts. */
 uint64_t import_block_bytes(const import_context *c, uint64_t size);
+
+/* A spilling import has read the model's bytes up to p: they need not stay in memory. */
+void import_forget(const import_context *c, const void *begin, const void *p);
 
 /* --- images --- */
 typedef struct import_images {

@@ -32,6 +32,8 @@ static void obj_free(obj_file *f)
     svo_free(a, f->values.uvs, f->values.count[OBJ_VT], 2 * sizeof(float));
     svo_free(a, f->values.normals, f->values.count[OBJ_VN], 3 * sizeof(float));
     svo_free(a, f->colors, f->color_count, 3 * sizeof(float));
+    if (f->store != NULL) store_free(f->store);
+    svo_free(a, f->store, 1, sizeof *f->store);
 }
 
 /* --- groups by material name --- */
@@ -79,7 +81,7 @@ static svo_result use_material(obj_file *f, const char *name, size_t n, bool nam
             return SVO_OK;
         }
     }
-    obj_group group = {.resolved = SVO_NONE};
+    obj_group group = {.least_vt = SVO_NONE, .least_vn = SVO_NONE, .resolved = SVO_NONE};
     if (named) {
         group.material = svo_alloc(f->context->allocator, n + 1, 1);
         if (group.material == NULL) return import_no_memory(err);
@@ -167,7 +169,8 @@ static svo_result place_values(obj_blocks *b, svo_error *err)
     obj_file *f = b->file;
     obj_values *v = &f->values;
     const svo_allocator *a = f->context->allocator;
-    uint64_t line = 1, count[OBJ_KINDS] = {0};
+    uint64_t line = 1 + f->lines, count[OBJ_KINDS];
+    memcpy(count, v->origin, sizeof count);
     for (uint64_t i = 0; i < b->count; i++) {
         obj_block *n = &b->list[i];
         n->values = v;
@@ -181,15 +184,15 @@ static svo_result place_values(obj_blocks *b, svo_error *err)
     for (int k = 0; k < OBJ_KINDS; k++)
         if (count[k] >= SVO_NONE - 1)
             return svo_fail(err, SVO_INVALID_DATA, "%s: more than 2^32 vertices, texture coordinates or normals", f->context->path);
-    v->positions = svo_alloc(a, count[OBJ_V], 3 * sizeof(double));
-    if (count[OBJ_V] != 0 && v->positions == NULL) return import_no_memory(err);
-    v->count[OBJ_V] = count[OBJ_V];
-    v->uvs = svo_alloc(a, count[OBJ_VT], 2 * sizeof(float));
-    if (count[OBJ_VT] != 0 && v->uvs == NULL) return import_no_memory(err);
-    v->count[OBJ_VT] = count[OBJ_VT];
-    v->normals = svo_alloc(a, count[OBJ_VN], 3 * sizeof(float));
-    if (count[OBJ_VN] != 0 && v->normals == NULL) return import_no_memory(err);
-    v->count[OBJ_VN] = count[OBJ_VN];
+    v->positions = svo_alloc(a, count[OBJ_V] - v->origin[OBJ_V], 3 * sizeof(double));
+    if (count[OBJ_V] != v->origin[OBJ_V] && v->positions == NULL) return import_no_memory(err);
+    v->count[OBJ_V] = count[OBJ_V] - v->origin[OBJ_V];
+    v->uvs = svo_alloc(a, count[OBJ_VT] - v->origin[OBJ_VT], 2 * sizeof(float));
+    if (count[OBJ_VT] != v->origin[OBJ_VT] && v->uvs == NULL) return import_no_memory(err);
+    v->count[OBJ_VT] = count[OBJ_VT] - v->origin[OBJ_VT];
+    v->normals = svo_alloc(a, count[OBJ_VN] - v->origin[OBJ_VN], 3 * sizeof(float));
+    if (count[OBJ_VN] != v->origin[OBJ_VN] && v->normals == NULL) return import_no_memory(err);
+    v->count[OBJ_VN] = count[OBJ_VN] - v->origin[OBJ_VN];
     return SVO_OK;
 }
 
@@ -199,7 +202,7 @@ static svo_result join_colors(obj_blocks *b, svo_error *err)
     const size_t color = 3 * sizeof(float);
     for (uint64_t i = 0; i < b->count; i++) {
         const obj_block *n = &b->list[i];
-        if (n->colors.size != 0) f->color_count = n->first[OBJ_V] + n->colors.size / color;
+        if (n->colors.size != 0) f->color_count = n->first[OBJ_V] - f->values.origin[OBJ_V] + n->colors.size / color;
         f->large_colors |= n->large_colors;
     }
     if (f->color_count == 0) return SVO_OK;
@@ -208,7 +211,7 @@ static svo_result join_colors(obj_blocks *b, svo_error *err)
     for (uint64_t i = 0; i < 3 * f->color_count; i++) f->colors[i] = 1;
     for (uint64_t i = 0; i < b->count; i++) {
         obj_block *n = &b->list[i];
-        if (n->colors.size != 0) memcpy(f->colors + 3 * n->first[OBJ_V], n->colors.data, n->colors.size);
+        if (n->colors.size != 0) memcpy(f->colors + 3 * (n->first[OBJ_V] - f->values.origin[OBJ_V]), n->colors.data, n->colors.size);
         svo_buffer_free(&n->colors);
     }
     return SVO_OK;
@@ -221,7 +224,7 @@ static void warn_oddities(const obj_blocks *b)
         [OBJ_POINTS] = "%s: points and lines are left out",
         [OBJ_CURVES] = "%s: free-form curves and surfaces are left out",
     };
-    bool told[OBJ_ODDITIES] = {false};
+    bool *told = b->file->told;
     for (uint64_t i = 0; i < b->count; i++)
         for (uint32_t k = 0; k < b->list[i].odd_count; k++) {
             obj_oddity what = b->list[i].odd[k];
@@ -314,8 +317,27 @@ static svo_result read_text(obj_file *f, const char *p, const char *end, svo_err
     }
     if (r == SVO_OK) r = replay_events(&b, err);
     if (r == SVO_OK) r = svo_parallel_for(c->threads, b.count, 1, gather_block, &b, err);
+    for (uint64_t i = 0; i < b.count; i++) f->lines += b.list[i].lines;
     free_blocks(&b);
     return r;
+}
+
+/* In windows, each of which goes to the store. */
+static svo_result read_windows(obj_file *f, const char *p, const char *end, svo_error *err)
+{
+    const import_context *c = f->context;
+    uint64_t bytes = c->memory / 32;
+    f->store = svo_calloc(c->allocator, 1, sizeof *f->store);
+    if (f->store == NULL) return import_no_memory(err);
+    store_init(f->store, c, 3);
+    for (const char *begin = p; p < end;) {
+        const char *stop = (uint64_t)(end - p) <= bytes ? end : obj_line_end(begin, p + bytes, end);
+        SVO_TRY(read_text(f, p, stop, err));
+        SVO_TRY(obj_spill_window(f, err));
+        import_forget(c, p, stop);
+        p = stop;
+    }
+    return SVO_OK;
 }
 
 /* --- libraries --- */
@@ -404,9 +426,9 @@ svo_result import_obj(const import_context *c, const uint8_t *bytes, uint64_t si
         p += 3;
         size -= 3;
     }
-    if (r == SVO_OK && size != 0) r = read_text(&f, p, p + size, err);
+    if (r == SVO_OK && size != 0) r = c->spilling ? read_windows(&f, p, p + size, err) : read_text(&f, p, p + size, err);
     if (r == SVO_OK) r = read_libraries(&f, &materials, err);
-    if (r == SVO_OK) r = obj_build(&f, &materials, mesh, err);
+    if (r == SVO_OK) r = f.store != NULL ? obj_build_spilled(&f, &materials, mesh, err) : obj_build(&f, &materials, mesh, err);
     obj_free(&f);
     mtl_free(&materials);
     svo_buffer_free(&text);

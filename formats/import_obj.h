@@ -2,7 +2,7 @@
 #ifndef IMPORT_OBJ_H
 #define IMPORT_OBJ_H
 
-#include "import_common.h"
+#include "import_store.h"
 
 /* Zero-based indices; SVO_NONE where a corner has no texture coordinate or normal. */
 typedef struct obj_corner {
@@ -16,6 +16,9 @@ typedef struct obj_group {
     uint32_t *sizes; /* corners of each face */
     uint64_t corner_count, face_count;
     uint32_t resolved; /* index into the materials */
+    /* what has gone to the store */
+    uint64_t stored_faces;
+    uint32_t least_vt, least_vn;
 } obj_group;
 
 /* Numbers of the file that corners refer to. */
@@ -25,6 +28,7 @@ typedef struct obj_values {
     float *uvs;        /* 2 each, v as in the file */
     float *normals;    /* 3 each */
     uint64_t count[OBJ_KINDS];
+    uint64_t origin[OBJ_KINDS]; /* number of the first: those before are in the store */
 } obj_values;
 
 /* What is left out, told once a file. */
@@ -77,6 +81,10 @@ typedef struct obj_file {
     svo_buffer libraries; /* char *: mtllib names, each once */
     uint32_t current;     /* group */
     bool large_colors;
+    bool told[OBJ_ODDITIES];
+    uint64_t lines;       /* before the text that is read */
+    import_store *store;  /* NULL: everything stays in memory */
+    uint32_t most_vt, most_vn; /* that any corner in the store refers to */
 } obj_file;
 
 /* Materials of a library, by name (the last of the same name counts). */
@@ -89,6 +97,11 @@ void mtl_init(mtl_set *set, const import_context *c);
 void mtl_free(mtl_set *set);
 svo_result mtl_read(mtl_set *set, const import_context *c, const uint8_t *bytes, uint64_t size, svo_error *err);
 
+/* A spilling import: what a window of the text gave goes to the store; then the mesh of all of it. */
+svo_result obj_spill_window(obj_file *f, svo_error *err);
+svo_result obj_build_spilled(obj_file *f, mtl_set *materials, svo_mesh *mesh, svo_error *err);
+/* The last definition of a name counts, as with programs that read the library line by line. SVO_NONE: none. */
+uint32_t obj_find_material(const mtl_set *set, const char *name);
 /* Triangulate, unify corners, build the parts; takes materials and images over. */
 svo_result obj_build(obj_file *f, mtl_set *materials, svo_mesh *mesh, svo_error *err);
 

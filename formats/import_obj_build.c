@@ -301,8 +301,7 @@ static svo_result build_part(builder *b, obj_group *g, uint32_t number, svo_part
     return SVO_OK;
 }
 
-/* The last definition of a name counts, as with programs that read the library line by line. */
-static uint32_t find_material(const mtl_set *set, const char *name)
+uint32_t obj_find_material(const mtl_set *set, const char *name)
 {
     const svo_material *m = (const svo_material *)(void *)set->list.data;
     for (uint64_t i = set->list.size / sizeof *m; i > 0; i--)
@@ -321,7 +320,7 @@ static svo_result build_parts(builder *b, mtl_set *materials, svo_buffer *parts,
         obj_group *g = &group[i];
         if (g->face_count == 0) continue;
         if (g->material != NULL) {
-            g->resolved = find_material(materials, g->material);
+            g->resolved = obj_find_material(materials, g->material);
             if (g->resolved == SVO_NONE)
                 svo_warn(b->context->warnings, "%s: material '%.80s' is not defined; it is white", b->context->path, g->material);
         }

@@ -133,7 +133,7 @@ static svo_result read_vertex(obj_block *b, const char *p, const char *end, uint
     if (n == SVO_NONE) return bad_line(b, line, "a vertex has something that is not a number", err);
     if (n < 3) return bad_line(b, line, "a vertex has fewer than three coordinates", err);
     uint64_t at = b->done[OBJ_V]++;
-    memcpy(b->values->positions + 3 * (b->first[OBJ_V] + at), v, 3 * sizeof *v);
+    memcpy(b->values->positions + 3 * (b->first[OBJ_V] - b->values->origin[OBJ_V] + at), v, 3 * sizeof *v);
     if (n < 6) return SVO_OK; /* a fourth number is a rational weight, which polygons do not use */
     const double *rgb = v + n - (n == 8 ? 5 : 3);
     for (uint64_t colors = b->colors.size / (3 * sizeof(float)); colors < at; colors++) {
@@ -150,7 +150,7 @@ static svo_result read_floats(obj_block *b, int kind, uint32_t want, uint32_t le
     double v[3] = {0, 0, 0};
     uint32_t n = read_numbers(p, end, v, want);
     if (n == SVO_NONE || n < least) return bad_line(b, line, "a texture coordinate or normal is not made of numbers", err);
-    float *to = (kind == OBJ_VT ? b->values->uvs : b->values->normals) + want * (b->first[kind] + b->done[kind]++);
+    float *to = (kind == OBJ_VT ? b->values->uvs : b->values->normals) + want * (b->first[kind] - b->values->origin[kind] + b->done[kind]++);
     for (uint32_t i = 0; i < want; i++) to[i] = (float)v[i];
     return SVO_OK;
 }

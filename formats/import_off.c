@@ -13,6 +13,7 @@ typedef struct off_reader {
     bool has_st, has_color, has_normal;
     int color_components; /* a vertex */
     bool fractions;       /* a colour token with a point was seen: 0..1, else 0..255 */
+    const char *forgotten; /* text before it has been given back */
 } off_reader;
 
 static svo_result bad(const off_reader *r, const char *what, svo_error *err)
@@ -192,6 +193,16 @@ static bool to_linear(svo_buffer *colors, double scale)
     return any;
 }
 
+/* A spilling import moves what it has read to the store now and then. */
+static svo_result flush(off_reader *r, svo_error *err)
+{
+    if (r->soup.store == NULL || (uint64_t)(r->p - r->forgotten) < r->c->memory / 64) return SVO_OK;
+    SVO_TRY(soup_flush(&r->soup, err));
+    import_forget(r->c, r->forgotten, r->p);
+    r->forgotten = r->p;
+    return SVO_OK;
+}
+
 static svo_result read_all(off_reader *r, svo_error *err)
 {
     uint64_t vertices, faces;
@@ -200,12 +211,23 @@ static svo_result read_all(off_reader *r, svo_error *err)
     /* How many colour components there are (3 or 4, also in files that do not say C) shows on the first vertex's line. */
     int extra = tokens_on_line(r) - 3 - (r->has_normal ? 3 : 0) - (r->has_st ? 2 : 0);
     if (vertices > 0) r->color_components = extra == 3 || extra == 4 ? extra : r->has_color ? 4 : 0;
-    for (uint64_t i = 0; i < vertices; i++) SVO_TRY(read_vertex(r, err));
+    for (uint64_t i = 0; i < vertices; i++) {
+        SVO_TRY(read_vertex(r, err));
+        SVO_TRY(flush(r, err));
+    }
     bool fractions = r->fractions;
     r->fractions = false;
-    for (uint64_t i = 0; i < faces; i++) SVO_TRY(read_face(r, vertices, err));
-    to_linear(&r->soup.colors, fractions ? 1 : 255);
-    if (!to_linear(&r->soup.face_colors, r->fractions ? 1 : 255)) svo_buffer_free(&r->soup.face_colors);
+    for (uint64_t i = 0; i < faces; i++) {
+        SVO_TRY(read_face(r, vertices, err));
+        SVO_TRY(flush(r, err));
+    }
+    if (r->soup.store != NULL) {
+        r->soup.store->vertex_scale = fractions ? 1 : 255;
+        r->soup.store->face_scale = r->fractions ? 1 : 255;
+    } else {
+        to_linear(&r->soup.colors, fractions ? 1 : 255);
+    }
+    if (r->soup.store == NULL && !to_linear(&r->soup.face_colors, r->fractions ? 1 : 255)) svo_buffer_free(&r->soup.face_colors);
     next(r);
     if (r->p < r->end) svo_warn(r->c->warnings, "%s: what follows the last face is ignored", r->c->path);
     return SVO_OK;
@@ -215,7 +237,9 @@ svo_result import_off(const import_context *c, const uint8_t *bytes, uint64_t si
 {
     off_reader r = {.c = c, .p = (const char *)bytes, .start = (const char *)bytes, .end = (const char *)bytes + size};
     soup_init(&r.soup, c);
-    svo_result result = read_all(&r, err);
+    r.forgotten = r.p;
+    svo_result result = c->spilling ? soup_spill(&r.soup, c, err) : SVO_OK;
+    if (result == SVO_OK) result = read_all(&r, err);
     if (result == SVO_OK) result = soup_build(&r.soup, c, mesh, err);
     soup_free(&r.soup);
     return result;

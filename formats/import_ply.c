@@ -9,7 +9,7 @@
 
 static svo_result bad(const ply_reader *r, const ply_element *e, uint64_t row, const char *what, svo_error *err)
 {
-    return svo_fail(err, SVO_INVALID_DATA, "%s: PLY element %s %llu: %s", r->c->path, e->name, (unsigned long long)row, what);
+    return svo_fail(err, SVO_INVALID_DATA, "%s: PLY element %s %llu: %s", r->c->path, e->name, (unsigned long long)(r->first_row + row), what);
 }
 
 static double load(const uint8_t *p, ply_type type, bool big)
@@ -94,6 +94,10 @@ static double color_scale(ply_type type)
 
 static void colors_to_linear(ply_reader *r, svo_buffer *colors, ply_type type)
 {
+    if (r->soup.store != NULL) { /* when all have been read */
+        *(colors == &r->soup.colors ? &r->soup.store->vertex_scale : &r->soup.store->face_scale) = color_scale(type);
+        return;
+    }
     float *c = (float *)(void *)colors->data;
     size_t n = colors->size / sizeof *c;
     double scale = color_scale(type);
@@ -302,6 +306,39 @@ static svo_result skip_element(ply_reader *r, const ply_element *e, svo_error *e
     return SVO_OK;
 }
 
+/* All rows at once, or in windows that go to the store. */
+static svo_result read_rows(ply_reader *r, const ply_element *e, svo_result (*read)(ply_reader *, const ply_element *, svo_error *), svo_error *err)
+{
+    enum { ROW = 64 }; /* bytes of memory of a usual row */
+    if (r->soup.store == NULL || e->count == 0) return read(r, e, err);
+    if (e->count >= SVO_NONE && e->kind == PLY_VERTEX) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 vertices", r->c->path);
+    uint64_t rows = r->c->memory / 32 / ROW + 1;
+    ply_element window = *e;
+    for (r->first_row = 0; r->first_row < e->count; r->first_row += window.count) {
+        const uint8_t *begin = r->p;
+        window.count = e->count - r->first_row < rows ? e->count - r->first_row : rows;
+        SVO_TRY(read(r, &window, err));
+        SVO_TRY(soup_flush(&r->soup, err));
+        import_forget(r->c, begin, r->p);
+    }
+    r->first_row = 0;
+    return SVO_OK;
+}
+
+/* Colours of numbers that are not integers: beyond 1 they are 0..255. */
+static void choose_scales(ply_reader *r)
+{
+    import_store *s = r->soup.store;
+    if (s == NULL) return;
+    const float most[2] = {s->most_vertex, s->most_face};
+    double *scale[2] = {&s->vertex_scale, &s->face_scale};
+    for (int i = 0; i < 2; i++) {
+        if (*scale[i] != 1 || !(most[i] > 1)) continue;
+        *scale[i] = 255;
+        svo_warn(r->c->warnings, "%s: colours exceed 1; all are taken as 0..255", r->c->path);
+    }
+}
+
 static svo_result read_elements(ply_reader *r, svo_error *err)
 {
     bool vertices = false, faces = false;
@@ -314,15 +351,15 @@ static svo_result read_elements(ply_reader *r, svo_error *err)
         if ((e->kind == PLY_FACE || e->kind == PLY_TRISTRIPS) && e->count != 0 && !vertices)
             return svo_fail(err, SVO_INVALID_DATA, "%s: PLY faces before vertices", r->c->path);
         switch (e->kind) {
-        case PLY_VERTEX: vertices = true; SVO_TRY(read_vertices(r, e, err)); break;
-        case PLY_FACE: faces = e->count != 0; SVO_TRY(read_faces(r, e, err)); break;
+        case PLY_VERTEX: vertices = true; SVO_TRY(read_rows(r, e, read_vertices, err)); break;
+        case PLY_FACE: faces = e->count != 0; SVO_TRY(read_rows(r, e, read_faces, err)); break;
         case PLY_TRISTRIPS:
             r->irregular = true;
             if (faces) { /* the same surface twice */
                 SVO_TRY(skip_element(r, e, err));
                 break;
             }
-            SVO_TRY(read_strips(r, e, err));
+            SVO_TRY(read_rows(r, e, read_strips, err));
             break;
         case PLY_SKIPPED:
             r->irregular |= r->ascii && e->count != 0;
@@ -344,8 +381,11 @@ svo_result import_ply(const import_context *c, const uint8_t *bytes, uint64_t si
     r->end = bytes + size;
     soup_init(&r->soup, c);
     svo_buffer_init(&r->list, c->allocator);
-    svo_result result = ply_read_header(r, err);
+    svo_result result = c->spilling ? soup_spill(&r->soup, c, err) : SVO_OK;
+    if (result == SVO_OK) result = ply_read_header(r, err);
+    r->irregular |= c->spilling && r->ascii; /* rows are read one after the other, so that the text need not stay in memory */
     if (result == SVO_OK) result = read_elements(r, err);
+    choose_scales(r);
     if (result == SVO_OK) result = soup_build(&r->soup, c, mesh, err);
     ply_lines_free(r);
     soup_free(&r->soup);

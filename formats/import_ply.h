@@ -41,6 +41,7 @@ typedef struct ply_reader {
     ply_element elements[PLY_MAX_ELEMENTS];
     svo_buffer list; /* double: values of the list just read */
     ply_lines *lines; /* of ASCII rows, once an element was read by them */
+    uint64_t first_row; /* of the window that is read */
     bool irregular;   /* ASCII rows are not one a line from here on */
 } ply_reader;
 

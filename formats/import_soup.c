@@ -1,5 +1,6 @@
 #include "import_soup.h"
 
+#include <math.h>
 #include <string.h>
 
 void soup_init(import_soup *s, const import_context *c)
@@ -13,13 +14,51 @@ void soup_init(import_soup *s, const import_context *c)
 void soup_free(import_soup *s)
 {
     char **name = (char **)(void *)s->images.data;
+    if (s->store != NULL) {
+        const svo_allocator *a = s->store->c->allocator;
+        store_free(s->store);
+        svo_free(a, s->store, 1, sizeof *s->store);
+    }
     for (size_t i = 0; i < s->images.size / sizeof *name; i++) svo_string_free(s->images.allocator, name[i]);
     svo_buffer *all[] = {&s->positions, &s->normals, &s->uvs, &s->colors, &s->corners, &s->sizes,
                          &s->corner_uvs, &s->face_colors, &s->face_images, &s->images};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) svo_buffer_free(all[i]);
 }
 
-uint64_t soup_vertex_count(const import_soup *s) { return s->positions.size / (3 * sizeof(double)); }
+uint64_t soup_vertex_count(const import_soup *s)
+{
+    return s->positions.size / (3 * sizeof(double)) + (s->store != NULL ? s->store->count[STORE_POSITIONS] : 0);
+}
+
+svo_result soup_spill(import_soup *s, const import_context *c, svo_error *err)
+{
+    s->store = svo_calloc(c->allocator, 1, sizeof *s->store);
+    if (s->store == NULL) return import_no_memory(err);
+    store_init(s->store, c, 4);
+    return SVO_OK;
+}
+
+svo_result soup_flush(import_soup *s, svo_error *err)
+{
+    if (s->store == NULL) return SVO_OK;
+    svo_buffer *values[STORE_ARRAYS] = {&s->positions, &s->normals, &s->uvs, &s->colors};
+    for (int i = 0; i < STORE_ARRAYS; i++) {
+        SVO_TRY(store_values(s->store, i, values[i]->data, values[i]->size / s->store->width[i], err));
+        values[i]->size = 0;
+    }
+    store_faces f = {.per_corner = 1, .corners = (const uint32_t *)(const void *)s->corners.data, .sizes = (const uint32_t *)(const void *)s->sizes.data};
+    f.corner_count = s->corners.size / sizeof(uint32_t);
+    f.face_count = s->sizes.size / sizeof(uint32_t);
+    if (s->corner_uvs.size != 0) f.uvs = (const float *)(const void *)s->corner_uvs.data;
+    if (s->face_colors.size != 0) f.colors = (const float *)(const void *)s->face_colors.data;
+    if (s->face_images.size > 0 && s->images.size > sizeof(char *)) f.images = (const uint32_t *)(const void *)s->face_images.data;
+    for (uint64_t i = 0; f.colors != NULL && i < f.face_count && !s->any_face_color; i++) s->any_face_color = !isnan(f.colors[4 * i]);
+    s->any_corner_uvs |= f.uvs != NULL;
+    s->any_face_images |= f.images != NULL;
+    SVO_TRY(store_add_faces(s->store, &f, err));
+    s->corners.size = s->sizes.size = s->corner_uvs.size = s->face_colors.size = s->face_images.size = 0;
+    return SVO_OK;
+}
 
 typedef struct soup_builder {
     import_soup *s;
@@ -188,6 +227,36 @@ static svo_result make_parts(soup_builder *b, svo_buffer *parts, svo_error *err)
     return r;
 }
 
+/* The mesh of what is in the store. */
+static svo_result build_spilled(soup_builder *b, svo_mesh *mesh, svo_error *err)
+{
+    import_soup *s = b->s;
+    import_store *store = s->store;
+    const svo_allocator *a = b->c->allocator;
+    uint32_t images = (uint32_t)(s->images.size / sizeof(char *)), count = s->any_face_images ? images : 1, used = 0;
+    bool uvs[SVO_MAX_UV_SETS] = {s->any_corner_uvs || store->count[STORE_UVS] != 0};
+    store->use_face_colors = s->any_face_color && store->count[STORE_COLORS] == 0;
+    const svo_soup_layout layout = svo_soup_layout_make(store->wide, store->count[STORE_NORMALS] != 0, uvs, store->use_face_colors || store->count[STORE_COLORS] != 0);
+    svo_part *all = svo_calloc(a, count, sizeof *all), *kept = NULL;
+    svo_soup_layout *layouts = svo_alloc(a, count, sizeof *layouts);
+    svo_result r = all != NULL && layouts != NULL ? SVO_OK : import_no_memory(err);
+    for (uint32_t i = 0; r == SVO_OK && i < count; i++) {
+        all[i].material = images > 0 ? i : SVO_NONE;
+        layouts[i] = layout;
+    }
+    if (r == SVO_OK) r = store_resolve(store, all, layouts, count, err);
+    b->fanned = store->fanned;
+    for (uint32_t i = 0; r == SVO_OK && i < count; i++) used += all[i].triangle_count != 0;
+    if (r == SVO_OK && used != 0 && (kept = svo_calloc(a, used, sizeof *kept)) == NULL) r = import_no_memory(err);
+    for (uint32_t i = 0, k = 0; all != NULL && i < count; i++) {
+        if (r == SVO_OK && all[i].triangle_count != 0) kept[k++] = all[i];
+        else import_part_free(a, &all[i]);
+    }
+    svo_free(a, all, count, sizeof *all);
+    svo_free(a, layouts, count, sizeof *layouts);
+    return r == SVO_OK ? import_single_shape(b->c, kept, used, mesh, err) : r;
+}
+
 svo_result soup_build(import_soup *s, const import_context *c, svo_mesh *mesh, svo_error *err)
 {
     soup_builder b = {.s = s, .c = c};
@@ -196,6 +265,14 @@ svo_result soup_build(import_soup *s, const import_context *c, svo_mesh *mesh, s
     svo_buffer_init(&b.polygon, c->allocator);
     svo_buffer_init(&b.scratch, c->allocator);
     svo_buffer_init(&parts, c->allocator);
+    if (s->store != NULL) {
+        svo_result spilled = soup_flush(s, err);
+        if (s->short_faces) svo_warn(c->warnings, "%s: faces with fewer than three corners are left out", c->path);
+        if (spilled == SVO_OK) spilled = make_materials(&b, mesh, err);
+        if (spilled == SVO_OK) spilled = build_spilled(&b, mesh, err);
+        if (b.fanned) svo_warn(c->warnings, "%s: some polygons cross themselves; they were cut as fans", c->path);
+        return spilled;
+    }
     b.face_colors = s->face_colors.size != 0 && s->colors.size == 0;
     b.unshared = b.face_colors || s->corner_uvs.size != 0 || s->face_images.size != 0;
     const uint32_t *size = (const uint32_t *)(const void *)s->sizes.data;

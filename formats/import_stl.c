@@ -5,9 +5,10 @@
 #include "fmt_container.h"
 #include "import_common.h"
 #include "import_text.h"
+#include "svo_soup.h"
 #include "svo_task.h"
 
-enum { GRAIN = 1 << 14 }; /* triangles of a parallel block */
+enum { GRAIN = 1 << 14, SPILL_AT = 1 << 20 }; /* triangles of a parallel block; bytes that are spilled at a time */
 
 static svo_result make_mesh(const import_context *c, double *positions, uint64_t triangles, svo_mesh *mesh, svo_error *err)
 {
@@ -47,6 +48,36 @@ static svo_result binary_block(void *user, uint64_t begin, uint64_t end, uint32_
     return SVO_OK;
 }
 
+/* The spilling way: records of a soup hold the same nine floats. */
+static svo_result spill_binary(const import_context *c, const uint8_t *records, uint64_t n, svo_mesh *mesh, svo_error *err)
+{
+    const bool none[SVO_MAX_UV_SETS] = {false};
+    const svo_soup_layout layout = svo_soup_layout_make(false, false, none, false);
+    svo_soup_file *file = NULL;
+    svo_part *part = svo_calloc(c->allocator, 1, sizeof *part);
+    uint8_t *out = svo_alloc(c->allocator, GRAIN, layout.stride);
+    bool attributes = false;
+    svo_result r = part != NULL && out != NULL ? svo_soup_file_create(c->spill, c->allocator, &file, err) : import_no_memory(err);
+    for (uint64_t first = 0; r == SVO_OK && first < n; first += GRAIN) {
+        uint64_t count = n - first < GRAIN ? n - first : GRAIN;
+        const uint8_t *p = records + 50 * first;
+        for (uint64_t i = 0; i < count; i++) {
+            memcpy(out + 36 * i, p + 50 * i + 12, 36);
+            attributes |= p[50 * i + 48] != 0 || p[50 * i + 49] != 0;
+        }
+        part->material = SVO_NONE;
+        r = svo_soup_append(part, file, &layout, c->allocator, out, count, err);
+        import_forget(c, p, p + 50 * count);
+    }
+    svo_soup_file_release(file);
+    svo_free(c->allocator, out, GRAIN, layout.stride);
+    if (r == SVO_OK && attributes) svo_warn(c->warnings, "%s: STL attribute bytes (colours of some programs) are not read", c->path);
+    if (r == SVO_OK) return import_single_shape(c, part, 1, mesh, err);
+    if (part != NULL) import_part_free(c->allocator, part);
+    svo_free(c->allocator, part, 1, sizeof *part);
+    return r;
+}
+
 static svo_result read_binary(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
 {
     if (size < 84) return svo_fail(err, SVO_INVALID_DATA, "%s: neither ASCII STL nor long enough for binary STL", c->path);
@@ -59,6 +90,7 @@ static svo_result read_binary(const import_context *c, const uint8_t *bytes, uin
                         (unsigned long long)have);
     if (size != 84 + 50 * n) svo_warn(c->warnings, "%s: bytes after the last triangle are ignored", c->path);
     if (n == 0) return import_single_shape(c, NULL, 0, mesh, err);
+    if (c->spilling) return spill_binary(c, bytes + 84, n, mesh, err);
     if (3 * n >= SVO_NONE) return svo_fail(err, SVO_LIMIT, "%s: more than 2^32 corners", c->path);
     double *positions = svo_alloc(c->allocator, 3 * n, 3 * sizeof *positions);
     if (positions == NULL) return import_no_memory(err);
@@ -73,6 +105,9 @@ static svo_result read_binary(const import_context *c, const uint8_t *bytes, uin
 }
 
 typedef struct stl_text {
+    svo_part *spill;       /* NULL: positions stay in memory */
+    svo_soup_file *file;
+    const char *forgotten; /* text before it has been given back */
     const import_context *c;
     const char *p, *start, *end;
     svo_buffer positions; /* double 3 a corner, three a triangle */
@@ -96,6 +131,18 @@ static void skip_line(stl_text *t)
     t->p = stop != NULL ? stop + 1 : t->end;
 }
 
+/* What has been read goes to the spill. */
+static svo_result spill_text(stl_text *t, svo_error *err)
+{
+    const bool none[SVO_MAX_UV_SETS] = {false};
+    const svo_soup_layout layout = svo_soup_layout_make(true, false, none, false); /* the same nine doubles */
+    SVO_TRY(svo_soup_append(t->spill, t->file, &layout, t->c->allocator, t->positions.data, t->positions.size / layout.stride, err));
+    t->positions.size = 0;
+    import_forget(t->c, t->forgotten, t->p);
+    t->forgotten = t->p;
+    return SVO_OK;
+}
+
 static svo_result end_loop(stl_text *t, svo_error *err)
 {
     uint64_t n = t->loop.size / (3 * sizeof(double));
@@ -115,7 +162,7 @@ static svo_result end_loop(stl_text *t, svo_error *err)
     }
     t->loop.size = 0;
     t->open = false;
-    return SVO_OK;
+    return t->spill != NULL && t->positions.size >= SPILL_AT ? spill_text(t, err) : SVO_OK;
 }
 
 static svo_result read_vertex(stl_text *t, svo_error *err)
@@ -265,6 +312,21 @@ static svo_result read_ascii(const import_context *c, const uint8_t *bytes, uint
     const char *p = (const char *)bytes;
     text_init(&t, c, p, p, p + size);
     svo_result r = SVO_OK;
+    if (c->spilling) {
+        t.forgotten = p;
+        t.spill = svo_calloc(c->allocator, 1, sizeof *t.spill);
+        r = t.spill != NULL ? svo_soup_file_create(c->spill, c->allocator, &t.file, err) : import_no_memory(err);
+        if (r == SVO_OK) t.spill->material = SVO_NONE;
+        if (r == SVO_OK) r = read_text(&t, err);
+        if (r == SVO_OK) r = spill_text(&t, err);
+        if (r == SVO_OK && t.fanned) svo_warn(c->warnings, "%s: some polygons cross themselves; they were cut as fans", c->path);
+        svo_soup_file_release(t.file);
+        text_free(&t);
+        if (r == SVO_OK) return import_single_shape(c, t.spill, 1, mesh, err);
+        if (t.spill != NULL) import_part_free(c->allocator, t.spill);
+        svo_free(c->allocator, t.spill, 1, sizeof *t.spill);
+        return r;
+    }
     if (!read_blocks(c, p, p + size, &t.positions, &t.fanned)) r = read_text(&t, err);
     uint64_t n = 0;
     void *positions = NULL;

@@ -364,13 +364,14 @@ static uint32_t join_cells(const reading *d, uint64_t most, uint64_t first, uint
         if (count == 0 || (d->cost[c] != 0 && sum != 0 && d->cost[c] > most - (sum < most ? sum : most))) {
             count++;
             sum = 0;
-            uint64_t from = (d->base + c) << shift;
-            if (bins != NULL)
-                bins[count - 1] = (svoi_bin){.first = from < first ? first : from, .first_block = NO_BLOCK, .last_block = NO_BLOCK};
+            if (bins != NULL) bins[count - 1] = (svoi_bin){.first_block = NO_BLOCK, .last_block = NO_BLOCK};
+        }
+        uint64_t from = (d->base + c) << shift, to = (d->base + c + 1) << shift;
+        if (bins != NULL && d->cost[c] != 0) { /* empty cells at the ends are left out, so that a bin of one unit is seen to be one */
+            if (sum == 0) bins[count - 1].first = from < first ? first : from;
+            bins[count - 1].end = to < end ? to : end;
         }
         sum += d->cost[c];
-        uint64_t to = (d->base + c + 1) << shift;
-        if (bins != NULL) bins[count - 1].end = to < end ? to : end;
         if (bin_of != NULL) bin_of[c] = count - 1;
     }
     return count;

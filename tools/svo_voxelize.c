@@ -1,10 +1,12 @@
 /* svo-voxelize: meshes to a sparse voxel octree with attributes. */
+#include <malloc.h>
 #include <stdlib.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "cli_quality.h"
 #include "fmt_import.h"
+#include "fmt_spill.h"
 #include "fmt_svo.h"
 #include "svo_shard.h"
 #include "svo_voxelize.h"
@@ -28,10 +30,12 @@ typedef struct tool_options {
     uint32_t shard_index, shard_count; /* 0 = not sharded */
     uint64_t reference;                /* voxels */
     bool key;
+    const char *temp;
+    uint64_t temp_size;
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
-static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
+static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *spill, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
 {
     uint32_t count = (uint32_t)c->input_count, done = 0;
     svo_mesh *meshes = calloc(count, sizeof *meshes);
@@ -39,7 +43,8 @@ static svo_result import_all(cli *c, const svo_allocator *a, svo_mesh *out, json
     svo_result r = SVO_OK;
     for (; r == SVO_OK && done < count; done++) {
         size_t first = read->count;
-        fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read};
+        fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read,
+                                .spill = spill != NULL ? fmt_spill_files(spill) : NULL, .memory = c->memory};
         r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
         if (r == SVO_OK && read->failed) {
             svo_mesh_free(&meshes[done]);
@@ -71,6 +76,8 @@ static void report_input(cli *c, const svo_mesh *mesh)
     cli_put_u64(o, "materials", mesh->material_count);
     cli_put_u64(o, "images", mesh->image_count);
     cli_put_u64(o, "bytes", n.bytes);
+    cli_put_u64(o, "spilled_triangles", n.spilled_triangles);
+    cli_put_u64(o, "spilled_bytes", n.spilled_bytes);
 }
 
 /* Against dense samples of the surface. */
@@ -155,11 +162,28 @@ static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_
     cli_put_u64(e, "triangles_degenerate", v->degenerate);
 }
 
+static void report_spill(cli *c, const fmt_spill *spill, const svo_voxelize_report *v)
+{
+    fmt_spill_counts n = fmt_spill_count(spill);
+    json_t *o = cli_section(c, "temporary_files");
+    cli_put_text(o, "folder", fmt_spill_folder(spill));
+    json_object_set_new(o, "used", json_boolean(n.files != 0));
+    cli_put_u64(o, "files", n.files);
+    cli_put_u64(o, "files_at_a_time", n.files_peak);
+    cli_put_u64(o, "bytes_peak", n.bytes_peak);
+    cli_put_u64(o, "bytes_written", n.bytes_written);
+    cli_put_u64(o, "bytes_read", n.bytes_read);
+    cli_put_u64(o, "bins", v->spill_bins);
+    cli_put_u64(o, "rounds", v->spill_rounds);
+    cli_put_u64(o, "split_units", v->split_units);
+}
+
 /* What is decided before the first voxel. */
 typedef struct job {
     svo_voxelize_options options;
     svo_tree_info info;
     char *provenance;
+    fmt_spill *spill; /* NULL without --memory */
     uint8_t key[16]; /* of the whole job, not of a shard */
     svo_shard shard;
 } job;
@@ -213,6 +237,7 @@ static svo_result plan(cli *c, const tool_options *o, const svo_mesh *mesh, svo_
     v->reference_voxels = c->report != NULL ? (uint32_t)o->reference : 0;
     v->allocator = &limit->base;
     v->warnings = &c->warnings;
+    v->spill = j->spill != NULL ? fmt_spill_files(j->spill) : NULL;
     if (c->memory != 0) {
         uint64_t used = svo_limit_in_use(limit);
         if (used >= c->memory)
@@ -273,6 +298,7 @@ static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh
     fmt_output_discard(out);
     if (r != SVO_OK) return r;
     report_output(c, &j->info, &report, bytes);
+    if (j->spill != NULL) report_spill(c, j->spill, &report);
     cli_verbose(c, "%llu voxels at depth %u, %llu bytes", (unsigned long long)report.counts.nodes[j->info.depth], j->info.depth, (unsigned long long)bytes);
     return SVO_OK;
 }
@@ -285,9 +311,22 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     sources read = {0};
     job j = {0};
     json_t *inputs = json_array();
+    if (c->memory != 0) {
+        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
+        mallopt(M_MMAP_THRESHOLD, 1 << 17);
+        mallopt(M_TRIM_THRESHOLD, 1 << 17);
+        mallopt(M_ARENA_MAX, 1);
+        fmt_spill_options s = {.folder = o->temp, .beside = c->output, .limit = o->temp_size};
+        svo_result opened = fmt_spill_open(&s, &j.spill, err);
+        if (opened != SVO_OK) {
+            json_decref(inputs);
+            return opened;
+        }
+        if (fmt_spill_in_memory(j.spill)) svo_warn(&c->warnings, "temporary files in %s would lie in memory (tmpfs); choose a disk with --temp", fmt_spill_folder(j.spill));
+    }
     cli_phase(c, "import");
     /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
-    svo_result r = import_all(c, &limit.base, &mesh, inputs, &read, err);
+    svo_result r = import_all(c, &limit.base, j.spill, &mesh, inputs, &read, err);
     if (r == SVO_OK) {
         report_input(c, &mesh);
         r = identify(c, o, inputs, &read, &j, err);
@@ -300,6 +339,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         }
         svo_mesh_free(&mesh);
     }
+    fmt_spill_close(j.spill);
     free(j.provenance);
     sources_free(&read);
     json_decref(inputs);
@@ -332,6 +372,10 @@ int main(int argc, char **argv)
          .help = "Form of the file: fast to read and write, or small (geometry about a third of the bytes, 10 times the time)."},
         {.name = "shard", .kind = CLI_TEXT, .value = &o.shard, .argument = "i/N", .no_default = true,
          .help = "Make only part i of N (1..N) of the octree, to be joined by svo-merge; auto takes i and N from a Slurm job array."},
+        {.name = "temp", .kind = CLI_TEXT, .value = &o.temp, .argument = "DIR", .no_default = true,
+         .help = "With --memory: folder for temporary files; by default TMPDIR if it is set, else that of the output."},
+        {.name = "temp-size", .kind = CLI_SIZE, .value = &o.temp_size, .argument = "SIZE",
+         .help = "Most that temporary files may take; 0 is no limit but the disk's."},
         {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true,
          .help = "Write a rule for Make or Ninja that names every file read."},
         {.name = "key", .kind = CLI_FLAG, .value = &o.key,

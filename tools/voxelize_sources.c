@@ -8,7 +8,7 @@
 
 #include "fmt_file.h"
 
-void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size)
+void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped)
 {
     sources *s = user;
     if (s->count == s->capacity) {
@@ -27,7 +27,7 @@ void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t si
         s->failed = true;
         return;
     }
-    fmt_hash_hex(bytes, size, n->hash);
+    fmt_hash_file(bytes, size, mapped, n->hash);
     s->count++;
 }
 

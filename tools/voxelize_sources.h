@@ -16,7 +16,7 @@ typedef struct sources {
 } sources;
 
 /* fmt_import_options.file_read with a sources as user. */
-void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size);
+void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
 void sources_free(sources *s);
 
 /* Hash of everything that decides the bytes of an output: `what` (options and versions as text) and the content and the
