@@ -46,7 +46,7 @@ INLINE uint32_t read_full(const svoi_best *b, uint32_t mask, uint64_t *at)
     return spread(mask, (uint32_t)(bits << 1 >> (64 - k)));
 }
 
-svoi_best_head svoi_best_read_head(const svoi_best *b, uint32_t level, svoi_best_node n)
+INLINE svoi_best_head read_head(const svoi_best *b, uint32_t level, svoi_best_node n)
 {
     svoi_best_head h;
     uint64_t at = n.at;
@@ -93,7 +93,7 @@ INLINE uint32_t read_mask(const svoi_best *b, uint32_t parent_mask, uint32_t oct
     return svoi_turn_mask(svoi_turn_inverse(c.turn), e >> 4);
 }
 
-svoi_best_node svoi_best_child(const svoi_best *b, uint32_t level, svoi_best_node n, const svoi_best_head *h, uint32_t octant, uint32_t *turn)
+INLINE svoi_best_node child_of(const svoi_best *b, uint32_t level, svoi_best_node n, const svoi_best_head *h, uint32_t octant, uint32_t *turn)
 {
     svoi_best_node child;
     uint32_t slot = (uint32_t)__builtin_popcount(h->refs & ((1u << octant) - 1));
@@ -121,6 +121,13 @@ svoi_best_node svoi_best_child(const svoi_best *b, uint32_t level, svoi_best_nod
         child.at += 8;
     }
     return child;
+}
+
+svoi_best_head svoi_best_read_head(const svoi_best *b, uint32_t level, svoi_best_node n) { return read_head(b, level, n); }
+
+svoi_best_node svoi_best_child(const svoi_best *b, uint32_t level, svoi_best_node n, const svoi_best_head *h, uint32_t octant, uint32_t *turn)
+{
+    return child_of(b, level, n, h, octant, turn);
 }
 
 /* --- blocks ------------------------------------------------------------------------------------------------------ */
@@ -242,20 +249,33 @@ uint32_t svo_view_best_mask(const svo_view *v, svo_view_node node)
     return full == 0 ? mask : mask | svoi_turn_mask(node.symmetry, full) << 8;
 }
 
-/* Attributes before a child, and its own: the sizes of the children in the order of their octants in the grid. */
-INLINE void number_child(const svoi_best *b, const svoi_best_head *h, uint32_t mask, uint32_t octant, svo_view_node parent, svo_view_node *child)
+/* Attributes before a child, and its own: the sizes of the children in the order of their octants in the grid. `symmetry`
+ * is from the node's frame to the grid, `size` that of the node. */
+INLINE uint64_t before_child(const svoi_best *b, const svoi_best_head *h, uint32_t mask, uint32_t octant, uint32_t symmetry, uint64_t *size)
 {
-    uint32_t world = svoi_turn_octant(parent.symmetry, octant), i = 0;
-    uint64_t rest = parent.size - (b->lod ? 1 : 0), before = b->lod ? 1 : 0, at = h->sizes;
-    for (uint32_t m = mask; m != 0; m &= m - 1, i++) {
+    uint32_t world = svoi_turn_octant(symmetry, octant);
+    uint64_t rest = *size - (b->lod ? 1 : 0), before = b->lod ? 1 : 0, at = h->sizes;
+    for (uint32_t m = mask; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m);
-        uint64_t size = (m & (m - 1)) == 0 ? rest : svoi_bits_get(b->stream, at, h->size_width);
-        rest -= size;
+        uint64_t one = (m & (m - 1)) == 0 ? rest : svoi_bits_get(b->stream, at, h->size_width);
+        rest -= one;
         at += h->size_width;
-        if (o == octant) child->size = size;
-        if (svoi_turn_octant(parent.symmetry, o) < world) before += size;
+        if (o == octant) *size = one;
+        if (svoi_turn_octant(symmetry, o) < world) before += one;
     }
-    child->attribute = parent.attribute + before;
+    return before;
+}
+
+/* The same for a brick of a block. */
+INLINE uint64_t before_brick(const svoi_best *b, const svoi_best_block *block, uint32_t mask, uint32_t octant, uint32_t symmetry)
+{
+    uint32_t world = svoi_turn_octant(symmetry, octant);
+    uint64_t before = b->lod ? 1 : 0;
+    for (uint32_t m = mask; m != 0; m &= m - 1) {
+        uint32_t o = (uint32_t)__builtin_ctz(m);
+        if (svoi_turn_octant(symmetry, o) < world) before += block->full >> o & 1 ? 1 : svoi_brick_size(b->lod, block->bits[o]);
+    }
+    return before;
 }
 
 static svo_view_node brick_of(const svo_view *v, svo_view_node node, svoi_best_node n, uint32_t octant)
@@ -263,18 +283,9 @@ static svo_view_node brick_of(const svo_view *v, svo_view_node node, svoi_best_n
     const svoi_best *b = v->best;
     svoi_best_block block;
     svo_view_node child = {.attribute = 0};
-    if (!b->numbered) {
-        svoi_best_read_brick(b, n, octant, &block);
-    } else {
-        svoi_best_read_block(b, n, &block);
-        uint32_t world = svoi_turn_octant(node.symmetry, octant);
-        child.attribute = node.attribute + (b->lod ? 1 : 0);
-        for (uint32_t m = n.mask; m != 0; m &= m - 1) {
-            uint32_t o = (uint32_t)__builtin_ctz(m);
-            if (svoi_turn_octant(node.symmetry, o) >= world) continue;
-            child.attribute += block.full >> o & 1 ? 1 : svoi_brick_size(b->lod, block.bits[o]);
-        }
-    }
+    if (b->numbered) svoi_best_read_block(b, n, &block);
+    else svoi_best_read_brick(b, n, octant, &block);
+    if (b->numbered) child.attribute = node.attribute + before_brick(b, &block, n.mask, octant, node.symmetry);
     child.full = block.full >> octant & 1;
     child.at = child.full ? 0 : svoi_turn_brick(svoi_turn_after(node.symmetry, block.turn[octant]), block.bits[octant]);
     return child;
@@ -288,9 +299,60 @@ svo_view_node svo_view_best_child(const svo_view *v, uint32_t level, svo_view_no
     if (level == b->block_level) return brick_of(v, node, n, stored);
     svoi_best_head h = svoi_best_read_head(b, level, n);
     svo_view_node child = {.full = h.full >> stored & 1};
-    if (b->numbered) number_child(b, &h, n.mask, stored, node, &child);
+    child.size = node.size;
+    if (b->numbered) child.attribute = node.attribute + before_child(b, &h, n.mask, stored, node.symmetry, &child.size);
     if (child.full) return child;
     child.at = svoi_best_pack(svoi_best_child(b, level, n, &h, stored, &turn));
     child.symmetry = svoi_turn_after(node.symmetry, turn);
     return child;
+}
+
+/* --- a voxel by its place ---------------------------------------------------------------------------------------- */
+
+INLINE uint32_t octant_at(uint32_t x, uint32_t y, uint32_t z, uint32_t bit) { return (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2; }
+
+/* Turns the place rather than the nodes; without numbers it decodes no further than to the brick. */
+INLINE bool find_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bool numbered, uint64_t *index)
+{
+    const svoi_best *b = v->best;
+    svoi_best_node n = svoi_best_unpack(svo_view_best_root(v).at);
+    uint32_t world = b->root_turn, to_stored = svoi_turn_inverse(world), bit = v->tree_depth - 1;
+    uint64_t size = b->attribute_count, attribute = 0;
+    for (uint32_t level = 0; level < b->block_level; level++, bit--) {
+        uint32_t stored = svoi_turn_octant(to_stored, octant_at(x, y, z, bit)), turn;
+        if (!(n.mask >> stored & 1)) return false;
+        svoi_best_head h = read_head(b, level, n);
+        if (numbered) attribute += before_child(b, &h, n.mask, stored, world, &size);
+        if (h.full >> stored & 1) {
+            *index = attribute;
+            return true;
+        }
+        n = child_of(b, level, n, &h, stored, &turn);
+        if (turn == 0) continue;
+        to_stored = svoi_turn_after(svoi_turn_inverse(turn), to_stored);
+        if (numbered) world = svoi_turn_after(world, turn);
+    }
+    uint32_t stored = svoi_turn_octant(to_stored, octant_at(x, y, z, 2));
+    if (!(n.mask >> stored & 1)) return false;
+    svoi_best_block block = {.full = 0};
+    uint64_t end;
+    read_block(b, n, false, numbered ? 8 : stored, &block, &end);
+    uint32_t turn = block.turn[stored];
+    if (numbered) attribute += before_brick(b, &block, n.mask, stored, world);
+    to_stored = svoi_turn_after(svoi_turn_inverse(turn), to_stored);
+    uint32_t a = svoi_turn_octant(to_stored, octant_at(x, y, z, 1)), voxel = svoi_turn_octant(to_stored, octant_at(x, y, z, 0));
+    if (!(block.bits[stored] >> (8 * a + voxel) & 1)) return false;
+    *index = 0;
+    if (!numbered) return true;
+    svo_view_node node = {.attribute = attribute, .full = block.full >> stored & 1};
+    uint64_t brick = node.full ? ~(uint64_t)0 : svoi_turn_brick(svoi_turn_after(world, turn), block.bits[stored]);
+    *index = svo_view_brick_voxel(v, node, brick, 8 * octant_at(x, y, z, 1) + octant_at(x, y, z, 0));
+    return true;
+}
+
+bool svo_view_best_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index)
+{
+    uint64_t unused;
+    if (index == NULL || !v->best->numbered) return find_voxel(v, x, y, z, false, index != NULL ? index : &unused);
+    return find_voxel(v, x, y, z, true, index);
 }

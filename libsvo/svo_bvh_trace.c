@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "svoi_bvh.h"
+#include "svoi_raycast.h"
 
 const svo_placed *svo_bvh_item(const svo_bvh *b, uint32_t item) { return &b->placed[item]; }
 
@@ -69,7 +70,7 @@ static inline double box_enter(const svoi_bvh_node *n, const slab_ray *s, double
 }
 
 /* Visit leaves front to back. With `any` the first hit ends the search. */
-static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, const svo_scene_ray *ray, bool any, svo_scene_hit *best)
+static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, svoi_ray_cache *cache, const svo_scene_ray *ray, bool any, svo_scene_hit *best)
 {
     slab_ray s;
     if (b->placed_count == 0 || !make_slab_ray(b, ray, &s)) return false;
@@ -96,11 +97,11 @@ static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, con
                 r.t_max = t_max;
                 const svo_view *view = b->scene->assets[b->placed[i].asset];
                 if (any) {
-                    if (svo_ray_blocked(view, &r)) return true;
+                    if (svoi_ray_blocked(view, cache, &r)) return true;
                     continue;
                 }
                 svo_hit hit;
-                svo_raycast(view, &r, 1, &hit);
+                svoi_raycast(view, cache, &r, 1, &hit);
                 if (!hit.hit || (found && hit.t == t_max && b->placed[i].instance > instance)) continue;
                 found = true;
                 t_max = hit.t;
@@ -119,14 +120,18 @@ static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, con
 
 void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits)
 {
+    svoi_ray_cache cache;
+    svoi_ray_cache_init(&cache, count);
     for (uint32_t i = 0; i < count; i++) {
         memset(&hits[i], 0, sizeof hits[i]);
-        traverse(b, &rays[i], false, &hits[i]);
+        traverse(b, &cache, &rays[i], false, &hits[i]);
     }
 }
 
 bool svo_scene_blocked(const svo_bvh *b, const svo_scene_ray *ray)
 {
     svo_scene_hit unused;
-    return traverse(b, ray, true, &unused);
+    svoi_ray_cache cache;
+    svoi_ray_cache_init(&cache, 1);
+    return traverse(b, &cache, ray, true, &unused);
 }

@@ -1,9 +1,8 @@
-#include "svo_raycast.h"
+#include "svoi_raycast.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "svoi_best.h"
 
 /* The kernel walks cells front to back (after Laine and Karras 2010): the current cell is a child slot of the node `ref` of
  * some level; a filled slot is entered, an empty one is left through its nearest far plane. Positions are integers, so
@@ -208,21 +207,35 @@ typedef struct spot {
     uint32_t mask, turn;
 } spot;
 
-/* Blocks of layout best that were met last: neighbouring rays meet the same ones. */
-enum { CACHED_BLOCKS = 64 };
-typedef struct block_cache {
-    uint64_t at[CACHED_BLOCKS]; /* packed; 0: none */
-    svoi_best_block block[CACHED_BLOCKS];
-} block_cache;
+INLINE uint32_t cache_slot(const svoi_ray_cache *c, uint64_t at) { return (uint32_t)((at * 0x9e3779b97f4a7c15u) >> (64 - c->bits)); }
 
-static const svoi_best_block *cached_block(block_cache *c, const svo_view *v, uint64_t at)
+INLINE const svoi_best_block *cached_block(svoi_ray_cache *c, const svoi_best *b, uint64_t at)
 {
-    uint32_t i = (uint32_t)((at * 0x9e3779b97f4a7c15u) >> 58);
-    if (c->at[i] != at) {
-        svoi_best_read_block(v->best, svoi_best_unpack(at), &c->block[i]);
-        c->at[i] = at;
+    uint32_t i = cache_slot(c, at);
+    if (c->block_key[i].at != at || c->block_key[i].owner != b) {
+        svoi_best_read_block(b, svoi_best_unpack(at), &c->block[i]);
+        c->block_key[i] = (svoi_cache_key){b, at};
     }
     return &c->block[i];
+}
+
+/* Child of a node above the blocks in the frame of the node; *turn from its own frame to that. */
+INLINE uint64_t cached_child(svoi_ray_cache *c, const svoi_best *b, uint32_t level, uint64_t at, uint32_t octant, uint32_t *turn)
+{
+    uint32_t i = cache_slot(c, at);
+    svoi_cached_node *n = &c->node[i];
+    if (c->node_key[i].at != at || c->node_key[i].owner != b) {
+        n->head = svoi_best_read_head(b, level, svoi_best_unpack(at));
+        n->have = 0;
+        c->node_key[i] = (svoi_cache_key){b, at};
+    }
+    if (!(n->have >> octant & 1)) {
+        n->child[octant] = svoi_best_pack(svoi_best_child(b, level, svoi_best_unpack(at), &n->head, octant, turn));
+        n->turn[octant] = (uint8_t)*turn;
+        n->have |= 1u << octant;
+    }
+    *turn = n->turn[octant];
+    return n->child[octant];
 }
 
 /* The same as svo_view_mask and svo_view_child, without attributes. A child at the bricks' level is the brick itself.
@@ -230,24 +243,23 @@ static const svoi_best_block *cached_block(block_cache *c, const svo_view *v, ui
 INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64_t at, uint32_t turn)
 {
     spot s = {at, 0, turn};
-    if (layout == SVO_LAYOUT_BEST) s.mask = svo_view_best_mask(v, (svo_view_node){.at = at, .symmetry = turn});
+    if (layout == SVO_LAYOUT_BEST && !v->best->solid) s.mask = svoi_turn_mask(turn, (uint32_t)(at >> 56));
+    else if (layout == SVO_LAYOUT_BEST) s.mask = svo_view_best_mask(v, (svo_view_node){.at = at, .symmetry = turn});
     else s.mask = v->levels[level].words[at];
     return s;
 }
 
-INLINE uint64_t spot_child(const svo_view *v, block_cache *c, svo_layout layout, uint32_t level, spot s, uint32_t octant, uint32_t *turn)
+INLINE uint64_t spot_child(const svo_view *v, svoi_ray_cache *c, svo_layout layout, uint32_t level, spot s, uint32_t octant, uint32_t *turn)
 {
     if (layout == SVO_LAYOUT_BEST) {
         uint32_t stored = svoi_turn_octant(svoi_turn_inverse(s.turn), octant), change;
         if (level + 1 == v->brick_level) {
-            const svoi_best_block *b = cached_block(c, v, s.at);
+            const svoi_best_block *b = cached_block(c, v->best, s.at);
             return svoi_turn_brick(svoi_turn_after(s.turn, b->turn[stored]), b->bits[stored]);
         }
-        svoi_best_node n = svoi_best_unpack(s.at);
-        svoi_best_head h = svoi_best_read_head(v->best, level, n);
-        svoi_best_node child = svoi_best_child(v->best, level, n, &h, stored, &change);
+        uint64_t child = cached_child(c, v->best, level, s.at, stored, &change);
         *turn = svoi_turn_after(s.turn, change);
-        return svoi_best_pack(child);
+        return child;
     }
     uint32_t stored = s.mask & ~(s.mask >> 8) & ((1u << octant) - 1);
     uint32_t child = v->levels[level].words[s.at + 1 + (uint32_t)__builtin_popcount(stored)];
@@ -268,7 +280,7 @@ static void walk_full(const svo_view *v, const line *l, bool lod, int32_t size, 
 }
 
 /* First node met. `lod` and `layout` are constants of the callers. */
-INLINE bool trace(const svo_view *v, block_cache *c, const line *l, bool lod, svo_layout layout, place *found)
+INLINE bool trace(const svo_view *v, svoi_ray_cache *c, const line *l, bool lod, svo_layout layout, place *found)
 {
     const uint32_t tree_depth = v->tree_depth, brick_level = v->brick_level;
     const bool stop_brick = v->depth >= 2, stop_octant = v->depth >= 1; /* levels above the root of a small octree are virtual */
@@ -357,7 +369,7 @@ INLINE bool trace(const svo_view *v, block_cache *c, const line *l, bool lod, sv
     }
 }
 
-static bool find(const svo_view *v, block_cache *c, const svo_ray *ray, line *l, place *found)
+static bool find(const svo_view *v, svoi_ray_cache *c, const svo_ray *ray, line *l, place *found)
 {
     if (!make_line(v, ray, l)) return false;
     bool lod = l->spread > 0 || l->offset > 0;
@@ -365,19 +377,29 @@ static bool find(const svo_view *v, block_cache *c, const svo_ray *ray, line *l,
     return lod ? trace(v, c, l, true, SVO_LAYOUT_PLAIN, found) : trace(v, c, l, false, SVO_LAYOUT_PLAIN, found);
 }
 
-bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
+bool svoi_ray_blocked(const svo_view *view, svoi_ray_cache *cache, const svo_ray *ray)
 {
     line l;
     place found;
-    block_cache c;
-    memset(c.at, 0, sizeof c.at);
-    return find(view, &c, ray, &l, &found);
+    return find(view, cache, ray, &l, &found);
+}
+
+bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
+{
+    svoi_ray_cache cache;
+    svoi_ray_cache_init(&cache, 1);
+    return svoi_ray_blocked(view, &cache, ray);
 }
 
 /* Attribute index of a node that is known to exist. */
 static uint64_t attribute_of(const svo_view *v, const place *at)
 {
     if (v->unnumbered) return 0;
+    if (v->layout == SVO_LAYOUT_BEST && at->tree_level == v->tree_depth) {
+        uint64_t index = 0;
+        svo_view_best_voxel(v, (uint32_t)at->corner[0], (uint32_t)at->corner[1], (uint32_t)at->corner[2], &index);
+        return index;
+    }
     svo_view_node node = svo_view_root(v);
     uint32_t bit = v->tree_depth - 1, level = 0;
     uint32_t x = (uint32_t)at->corner[0], y = (uint32_t)at->corner[1], z = (uint32_t)at->corner[2];
@@ -392,14 +414,19 @@ static uint64_t attribute_of(const svo_view *v, const place *at)
 
 void svo_raycast(const svo_view *view, const svo_ray *rays, uint32_t count, svo_hit *hits)
 {
-    block_cache c;
-    memset(c.at, 0, sizeof c.at);
+    svoi_ray_cache cache;
+    svoi_ray_cache_init(&cache, count);
+    svoi_raycast(view, &cache, rays, count, hits);
+}
+
+void svoi_raycast(const svo_view *view, svoi_ray_cache *cache, const svo_ray *rays, uint32_t count, svo_hit *hits)
+{
     for (uint32_t i = 0; i < count; i++) {
         line l;
         place at;
         svo_hit *hit = &hits[i];
         memset(hit, 0, sizeof *hit);
-        if (!find(view, &c, &rays[i], &l, &at)) continue;
+        if (!find(view, cache, &rays[i], &l, &at)) continue;
         uint32_t above = view->tree_depth - at.tree_level;
         int32_t size = (int32_t)1 << above;
         double enter = -INFINITY;

@@ -42,6 +42,7 @@ bool svo_view_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint6
 {
     SVO_ASSERT(x >> v->depth == 0 && y >> v->depth == 0 && z >> v->depth == 0);
     if (v->empty) return false;
+    if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_voxel(v, x, y, z, index);
     svo_view_node n = svo_view_root(v);
     for (uint32_t level = 0; level < v->brick_level; level++) {
         uint32_t bit = v->tree_depth - 1 - level;

@@ -103,6 +103,7 @@ typedef struct svo_view_node {
 /* For layout best. */
 svo_view_node svo_view_best_root(const svo_view *v);
 uint32_t svo_view_best_mask(const svo_view *v, svo_view_node node); /* full leaves in bits 8..15 */
+bool svo_view_best_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index); /* as svo_view_voxel */
 svo_view_node svo_view_best_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant);
 
 /* The root of an octree that is not empty. */

@@ -53,6 +53,27 @@ static void same_node(const svo_view *a, const svo_view *b, uint32_t level, svo_
     }
 }
 
+/* Each voxel of the tree is found, by itself and with its index, and its neighbours are where they are in the tree. */
+static void same_voxels(const tree *t, const svo_view *plain, const svo_view *v)
+{
+    uint64_t side = (uint64_t)1 << v->depth;
+    for (uint64_t i = 0; i < t->count; i++) {
+        uint32_t x, y, z;
+        svo_morton_decode(t->codes[i], &x, &y, &z);
+        uint64_t index[2];
+        CHECK(svo_view_voxel(v, x, y, z, NULL) && svo_view_voxel(v, x, y, z, &index[1]) && svo_view_voxel(plain, x, y, z, &index[0]));
+        CHECK_U64(index[1], index[0]);
+        if (x + 1 == side) continue;
+        uint64_t code = svo_morton_encode(x + 1, y, z), low = 0, high = t->count;
+        while (low < high) {
+            uint64_t middle = (low + high) / 2;
+            if (t->codes[middle] < code) low = middle + 1;
+            else high = middle;
+        }
+        CHECK(svo_view_voxel(v, x + 1, y, z, NULL) == (low < t->count && t->codes[low] == code));
+    }
+}
+
 /* Rays meet the same nodes, with and without levels of detail. */
 static void same_rays(const svo_view *a, const svo_view *b)
 {
@@ -86,6 +107,7 @@ static void compare(const tree *t, bool lod)
         CHECK(b->layout == (b->empty || b->brick_level == 0 ? SVO_LAYOUT_PLAIN : SVO_LAYOUT_BEST));
         CHECK_OK(svo_view_validate(b, NULL, &err));
         if (!a->empty) same_node(a, b, 0, svo_view_root(a), svo_view_root(b));
+        same_voxels(t, a, b);
         bool any[2];
         uint32_t low[2][3], high[2][3];
         CHECK_OK(svo_view_grid_bounds(a, NULL, &any[0], low[0], high[0], &err));
