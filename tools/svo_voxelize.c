@@ -16,6 +16,7 @@
 
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const disks[] = {"fast", "small", NULL};
+static const char *const beside[] = {"D", NULL}; /* -MD */
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 
 typedef struct tool_options {
@@ -27,6 +28,8 @@ typedef struct tool_options {
     uint64_t level; /* zstd's */
     uint32_t channels;
     const char *shard, *depfile;
+    int beside;
+    bool has_beside;
     uint32_t shard_index, shard_count; /* 0 = not sharded */
     uint64_t reference;                /* voxels */
     bool key;
@@ -378,6 +381,8 @@ int main(int argc, char **argv)
          .help = "Most that temporary files may take; 0 is no limit but the disk's."},
         {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true,
          .help = "Write a rule for Make or Ninja that names every file read."},
+        {.name = "depfile-beside", .letter = 'M', .kind = CLI_CHOICE, .value = &o.beside, .choices = beside, .argument = "D", .seen = &o.has_beside, .no_default = true,
+         .help = "-MD: write that rule into OUT.d, that is beside the output, with .d after its name."},
         {.name = "key", .kind = CLI_FLAG, .value = &o.key,
          .help = "Print a hash of all that decides the output (inputs, options, version) and make nothing."},
     };
@@ -401,6 +406,12 @@ int main(int argc, char **argv)
     if (c.output == NULL && !o.key) return cli_usage(&c, "no output given (-o OUT)");
     char why[200];
     if (o.shard != NULL && !parse_shard(o.shard, &o.shard_index, &o.shard_count, why, sizeof why)) return cli_usage(&c, "--shard: %s", why);
+    static char depfile[4096 + 3];
+    if (o.has_beside && o.depfile != NULL) return cli_usage(&c, "--depfile and -MD exclude each other");
+    if (o.has_beside && !o.key) {
+        if (strlen(c.output) > 4096) return cli_usage(&c, "the name of the output is too long");
+        o.depfile = strcat(strcpy(depfile, c.output), ".d");
+    }
     if (o.depfile != NULL && !o.key && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");

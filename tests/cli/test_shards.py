@@ -276,6 +276,12 @@ def test_depfile(folder):
     r = tool("svo-voxelize", mesh, "-o", folder / "p.svo", "--depth", 4, "--depfile", odd / "m.mtl", "--force")
     check(r.code == 1 and (odd / "m.mtl").read_bytes() == before, r)
     check(tool("svo-voxelize", mesh, "-o", folder / "q.svo", "--depth", 4, "--depfile", dep).code == 2)
+    run("svo-voxelize", mesh, "-o", out, "--depth", 4, "-MD", "--force")
+    beside = out.parent / (out.name + ".d")
+    check(beside.read_bytes() == dep.read_bytes(), "-MD writes the same rule beside the output")
+    check(tool("svo-voxelize", mesh, "-o", out, "--depth", 4, "-MX", "--force").code == 1)
+    check(tool("svo-voxelize", mesh, "-o", out, "--depth", 4, "-MD", "--depfile", dep, "--force").code == 1)
+    check(tool("svo-voxelize", mesh, "-o", "-", "--depth", 4, "-MD").code == 1)
     check(tool("svo-voxelize", mesh, "-o", "-", "--depth", 4, "--depfile", dep, "--force").code == 1)
 
 
