@@ -154,10 +154,8 @@ static uint32_t width_of(uint32_t entries) { return entries > 2 ? 32 - (uint32_t
 void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c)
 {
     c->count = n->entries;
-    for (uint32_t i = 0; i < n->entries; i++) {
-        c->p[i] = s->t->table[n->entry[i]];
-        if (s->t->squares) c->check[i] = s->t->check[n->entry[i]];
-    }
+    for (uint32_t i = 0; i < n->entries; i++) svoi_candidate_set(c, i, &s->t->table[n->entry[i]], &s->t->check[n->entry[i]]);
+    svoi_candidates_fill(c);
 }
 
 static void keep_entries(svoi_node *n, const cluster *c, uint32_t count)
@@ -182,7 +180,7 @@ static void try_runs(svoi_lossy_state *s, const cluster *c, uint32_t k, float er
 {
     uint32_t width = width_of(k), fixed = SVOI_HEADER_BITS + 8 + k * s->table_bits + s->length;
     float estimate = (float)(fixed + count_changes(s) * width) + error;
-    if (estimate > 1.25f * n->cost) return;
+    if (estimate > 1.2f * n->cost) return;
     svoi_node with = {.entries = 0};
     svoi_candidates candidates;
     keep_entries(&with, c, k);
@@ -246,9 +244,10 @@ void svoi_line_candidates(const svoi_lossy_state *s, const svoi_node *n, uint32_
     c->count = 1u << width;
     for (uint32_t i = 0; i < c->count; i++) {
         uint32_t value = svo_line_point(s->t->kind, table[n->entry[0]], table[n->entry[1]], i, c->count - 1);
-        c->p[i] = svoi_point_of(s->t->kind, s->t->squares, value);
-        if (s->t->squares) c->check[i] = svoi_point_of(s->t->kind, false, value);
+        svoi_point p = svoi_point_of(s->t->kind, s->t->squares, value), check = s->t->squares ? svoi_point_of(s->t->kind, false, value) : p;
+        svoi_candidate_set(c, i, &p, &check);
     }
+    svoi_candidates_fill(c);
 }
 
 /* Mean and direction of the largest variance. */
@@ -284,12 +283,18 @@ void svoi_try_lines(svoi_lossy_state *s, svoi_node *n)
     float mean[3], v[3], low = INFINITY, high = -INFINITY, end[2][3];
     uint32_t fixed = SVOI_HEADER_BITS + 2 * s->table_bits;
     if ((float)(fixed + s->length) >= n->cost || !principal_axis(s, mean, v)) return;
+    float off = 0; /* farthest from the line, squared, with the weights of CIE94 */
     for (uint32_t i = 0; i < s->items; i++) {
-        float at = 0;
-        for (int k = 0; k < 3; k++) at += (s->item[i].p.x[k] - mean[k]) * v[k];
+        const svoi_item *it = &s->item[i];
+        float d[3], at = 0, beside[3];
+        for (int k = 0; k < 3; k++) d[k] = it->p.x[k] - mean[k], at += d[k] * v[k];
+        for (int k = 0; k < 3; k++) beside[k] = d[k] - at * v[k];
+        float far = beside[0] * beside[0] + (it->w.wh + it->w.wd) * (beside[1] * beside[1] + beside[2] * beside[2]);
+        if (far > off) off = far;
         if (at < low) low = at;
         if (at > high) high = at;
     }
+    if (!s->t->squares && off > s->t->bound2) return;
     for (int k = 0; k < 3; k++) end[0][k] = mean[k] + v[k] * low, end[1][k] = mean[k] + v[k] * high;
     svoi_node line = {.entries = 2};
     for (int i = 0; i < 2; i++) line.entry[i] = (uint16_t)svoi_near(s->t, &s->near, end[i]);

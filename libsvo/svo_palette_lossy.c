@@ -79,24 +79,41 @@ static void gather(svoi_lossy_state *s, uint32_t begin, uint32_t length)
 
 /* --- numbers ----------------------------------------------------------------------------------------------------- */
 
-static float item_error(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t q)
+/* Errors of an item with all candidates (a multiple of SVOI_LANES of them); INFINITY where the bound is broken. */
+static void item_errors(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t count, float *restrict error)
 {
     const svoi_points *t = s->t;
-    float d = svoi_distance2(&it->p, it->w, &c->p[q]);
-    float bound = t->squares ? svoi_distance2(&s->check[it->id], s->check_weights[it->id], &c->check[q]) : d;
-    return bound <= t->bound2 ? svoi_cost(t, d) : INFINITY;
+    float x0 = it->p.x[0], x1 = it->p.x[1], x2 = it->p.x[2], x3 = it->p.x[3], wh = it->w.wh, wd = it->w.wd, bound2 = t->bound2, price = t->price;
+    if (!t->squares) {
+        for (uint32_t q = 0; q < count; q++) {
+            float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q], e = x3 - c->p[3][q];
+            float d2 = a * a + wh * (b * b + d * d) + wd * (e * e);
+            float root = price * __builtin_sqrtf(d2 > 0 ? d2 : 0);
+            error[q] = d2 <= bound2 ? root : INFINITY;
+        }
+        return;
+    }
+    const svoi_point *k = &s->check[it->id];
+    svoi_weights w = s->check_weights[it->id];
+    for (uint32_t q = 0; q < count; q++) {
+        float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q];
+        float e = k->x[0] - c->check[0][q], f = k->x[1] - c->check[1][q], g = k->x[2] - c->check[2][q], h = k->x[3] - c->check[3][q];
+        float d2 = e * e + w.wh * (f * f + g * g) + w.wd * (h * h), cost = price * (a * a + b * b + d * d);
+        error[q] = d2 <= bound2 ? cost : INFINITY;
+    }
 }
 
 float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number)
 {
-    float sum = 0;
+    float sum = 0, error[SVOI_LOSSY_ENTRIES];
+    uint32_t count = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
     for (uint32_t i = 0; i < s->items; i++) {
         const svoi_item *it = &s->item[i];
         float best = INFINITY;
-        for (uint32_t q = 0; q < c->count; q++) {
-            float e = item_error(s, it, c, q);
-            if (e < best) best = e, s->label[it->id] = (uint8_t)q;
-        }
+        item_errors(s, it, c, count, error);
+        for (uint32_t q = 0; q < c->count; q++)
+            if (error[q] < best) best = error[q], s->label[it->id] = (uint8_t)q;
+        if (!(best < INFINITY)) return INFINITY;
         sum += best * it->count;
     }
     if (number != NULL)
@@ -104,37 +121,50 @@ float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *n
     return sum;
 }
 
+static void trace_runs(const svoi_lossy_state *s, uint32_t last, uint32_t *number)
+{
+    uint32_t at = s->length;
+    for (uint32_t r = s->runs; r-- > 0;) {
+        for (uint32_t i = 0; i < s->run_length[r]; i++) number[--at] = last;
+        if (s->changed[r] >> last & 1) last = s->before[r];
+    }
+}
+
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number)
 {
-    uint32_t k = c->count;
+    uint32_t k = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
     for (uint32_t i = 0; i < s->items; i++) {
         s->row[s->item[i].id] = (uint16_t)i;
-        for (uint32_t q = 0; q < k; q++) s->error[i][q] = item_error(s, &s->item[i], c, q);
+        item_errors(s, &s->item[i], c, k, s->error[i]);
     }
     float cost[SVOI_LOSSY_ENTRIES], least = 0;
     uint32_t from = 0;
     for (uint32_t q = 0; q < k; q++) cost[q] = INFINITY;
     for (uint32_t r = 0; r < s->runs; r++) {
         const float *error = s->error[s->row[s->run_id[r]]];
-        float times = s->run_length[r], change = least + (float)width, lowest = INFINITY;
-        uint64_t changed = 0;
-        uint32_t at = 0;
-        for (uint32_t q = 0; q < k; q++) {
-            bool new_run = change < cost[q];
-            changed |= (uint64_t)new_run << q;
-            cost[q] = (new_run ? change : cost[q]) + error[q] * times;
-            if (cost[q] < lowest) lowest = cost[q], at = q;
+        float times = s->run_length[r], change = least + (float)width, lane[SVOI_LANES];
+        if (number != NULL) {
+            uint64_t changed = 0;
+            for (uint32_t q = 0; q < k; q++) changed |= (uint64_t)(change < cost[q]) << q;
+            s->changed[r] = changed;
+            s->before[r] = (uint8_t)from;
         }
-        s->changed[r] = changed;
-        s->before[r] = (uint8_t)from;
-        least = lowest, from = at;
+        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = INFINITY;
+        for (uint32_t q = 0; q < k; q += SVOI_LANES)
+            for (uint32_t j = 0; j < SVOI_LANES; j++) {
+                float kept = change < cost[q + j] ? change : cost[q + j], now = kept + error[q + j] * times;
+                cost[q + j] = now;
+                lane[j] = now < lane[j] ? now : lane[j];
+            }
+        least = lane[0];
+        for (uint32_t j = 1; j < SVOI_LANES; j++) least = lane[j] < least ? lane[j] : least;
+        if (!(least < INFINITY)) return INFINITY;
+        if (number != NULL) {
+            from = 0;
+            while (cost[from] != least) from++;
+        }
     }
-    if (number == NULL || !(least < INFINITY)) return least;
-    uint32_t at = s->length;
-    for (uint32_t r = s->runs; r-- > 0;) {
-        for (uint32_t i = 0; i < s->run_length[r]; i++) number[--at] = from;
-        if (s->changed[r] >> from & 1) from = s->before[r];
-    }
+    if (number != NULL) trace_runs(s, from, number);
     return least;
 }
 

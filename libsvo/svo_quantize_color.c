@@ -275,7 +275,7 @@ static svo_result average(cluster *k, bool rgb, svo_error *err)
     return SVO_OK;
 }
 
-enum { ITERATIONS = 6 };
+enum { ITERATIONS = 2 };
 
 static svo_result run_cluster(cluster *k, uint32_t *mapped, svo_error *err)
 {

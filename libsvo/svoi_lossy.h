@@ -50,11 +50,24 @@ typedef struct svoi_lossy_state {
     svoi_near_cache near;
 } svoi_lossy_state;
 
-/* Candidates that numbers stand for: palette entries, or points of a line. */
+/* Candidates that numbers stand for: palette entries, or points of a line. Component by component, so that one item is
+ * measured against many at a time; filled up to a multiple of SVOI_LANES with copies of the first. */
+enum { SVOI_LANES = 8 };
 typedef struct svoi_candidates {
     uint32_t count;
-    svoi_point p[SVOI_LOSSY_ENTRIES], check[SVOI_LOSSY_ENTRIES];
+    float p[4][SVOI_LOSSY_ENTRIES], check[4][SVOI_LOSSY_ENTRIES];
 } svoi_candidates;
+
+static inline void svoi_candidate_set(svoi_candidates *c, uint32_t i, const svoi_point *p, const svoi_point *check)
+{
+    for (int k = 0; k < 4; k++) c->p[k][i] = p->x[k], c->check[k][i] = check->x[k];
+}
+
+static inline void svoi_candidates_fill(svoi_candidates *c)
+{
+    for (uint32_t i = c->count; i % SVOI_LANES != 0; i++)
+        for (int k = 0; k < 4; k++) c->p[k][i] = c->p[k][0], c->check[k][i] = c->check[k][0];
+}
 
 static inline float svoi_cost(const svoi_points *t, float distance2) { return t->price * (t->squares ? distance2 : __builtin_sqrtf(distance2)); }
 
