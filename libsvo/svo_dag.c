@@ -72,6 +72,9 @@ static svo_result check_options(const svo_dag_options *o, svo_error *err)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "normal bits are even numbers from 4 to 32, not %u", o->normal_bits);
     if (!(o->color_delta_e >= 0 && o->normal_degrees >= 0))
         return svo_fail(err, SVO_INVALID_ARGUMENT, "an error bound must be a positive number");
+    if (!(o->color_mean >= 0 && o->color_psnr >= 0) || (o->color_mean > 0 && o->color_psnr > 0) ||
+        ((o->color_mean > 0 || o->color_psnr > 0) && !(o->color_delta_e > 0)))
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "a mean error or a PSNR is a positive number, one of the two, and needs a bound");
     if ((o->color_bits != 0 && o->color_delta_e > 0) || (o->normal_bits != 0 && o->normal_degrees > 0))
         return svo_fail(err, SVO_INVALID_ARGUMENT, "bits and a bound cannot be given for the same channel");
     return SVO_OK;

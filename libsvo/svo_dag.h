@@ -23,6 +23,8 @@ typedef struct svo_dag_options {
     bool lod;              /* give inner nodes the averages of what is below */
     uint32_t color_bits;   /* 0 or 1..16 */
     double color_delta_e;  /* > 0: largest CIE94 difference of any attribute; color_bits must be 0 */
+    double color_mean;     /* > 0, with color_delta_e: aim at this mean CIE94 difference, with few bytes */
+    double color_psnr;     /* > 0, with color_delta_e: aim at this PSNR of sRGB bytes in dB, with few bytes */
     uint32_t normal_bits;  /* 0 or 4..32 (even) */
     double normal_degrees; /* > 0: largest angle of any attribute; normal_bits must be 0 */
     uint32_t threads;      /* 0 = all */

@@ -1,4 +1,5 @@
 /* Packing a channel: as a constant, as blocks within its goal, or raw. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -170,21 +171,88 @@ static svo_result pack_exactly(packing *k, svo_error *err)
     return pack_raw(k->p, k->channel, k->values, &s, err);
 }
 
-/* Blocks chosen by what they cost, each value within a bound. */
-static svo_result pack_within(packing *k, svo_palette_goal goal, svo_error *err)
+/* Bits of a table: fine enough for the errors that are allowed, and no finer. */
+static uint32_t table_bits_for(svo_palette_goal goal)
+{
+    double unit = goal.squares ? 0.25 / (goal.price + 1e-9) : 8 / (goal.price + 1e-9), scale = goal.bound < unit ? goal.bound : unit;
+    return scale <= 0.75 ? 14 : scale <= 1.5 ? 13 : scale <= 2.5 ? 12 : 11;
+}
+
+static svo_result make_goal_table(packing *k, svo_palette_goal goal, uint64_t *table_count, svo_error *err)
 {
     const svoi_distinct *d = &k->distinct;
-    svo_channel_kind kind = k->p->view.channels[k->channel].channel.kind;
-    svo_dag_options table_options = {.color_bits = 12, .normal_bits = 12, .threads = k->options->threads};
+    svo_dag_options o = {.color_bits = table_bits_for(goal), .normal_bits = 12, .threads = k->options->threads};
     svo_quantize_result q = {0};
-    svo_result r = svo_quantize(kind, d->value, d->times, d->count, &table_options, &k->p->memory.base, k->mapped, &q, err);
+    uint64_t kept = 0;
+    svo_result r = svo_quantize(k->p->view.channels[k->channel].channel.kind, d->value, d->times, d->count, &o, &k->p->memory.base, k->mapped, &q, err);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
     if (r != SVO_OK) return r;
-    uint64_t table_count = 0, kept = 0;
-    SVO_TRY(make_table(k->p, k->mapped, d->times, d->count, k->table, &table_count, &kept, err));
-    source s = {k->values, d, NULL};
+    return make_table(k->p, k->mapped, d->times, d->count, k->table, table_count, &kept, err);
+}
+
+/* Some superblocks, evenly spread. */
+typedef struct sample { source of; uint64_t stride; } sample;
+
+static void give_sample(void *user, uint64_t first, uint32_t n, uint32_t *out)
+{
+    const sample *s = user;
+    give_values((void *)(uintptr_t)&s->of, first * s->stride, n, out);
+}
+
+static double quality(const svo_palette_stats *stats, bool squares, uint64_t count)
+{
+    return squares ? stats->square_sum / 3 / (double)count : stats->error_sum / (double)count;
+}
+
+/* The price at which a sample has the mean error that is aimed at: errors fall as prices rise. */
+static svo_result find_price(packing *k, svo_palette_goal *goal, double aim, uint64_t *table_count, svo_error *err)
+{
+    enum { SAMPLE = 128, STEPS = 7 };
+    uint64_t superblocks = k->values->count / SVO_SUPERBLOCK, taken = superblocks < SAMPLE ? superblocks : SAMPLE;
+    sample s = {{k->values, NULL, NULL}, taken != 0 ? superblocks / taken : 1};
+    double low = goal->squares ? 1e-4 : 0.02, high = goal->squares ? 20 : 200;
+    uint64_t count = taken * SVO_SUPERBLOCK;
+    goal->price = sqrt(low * high);
+    if (count == 0) {
+        goal->price = high; /* too few values to be worth saving on */
+        return make_goal_table(k, *goal, table_count, err);
+    }
+    for (int step = 0; step < STEPS; step++) {
+        svo_buffer directory, payload;
+        svo_palette_stats stats;
+        svo_buffer_init(&directory, &k->p->memory.base);
+        svo_buffer_init(&payload, &k->p->memory.base);
+        if (step == 0 || step == STEPS / 2) SVO_TRY(make_goal_table(k, *goal, table_count, err));
+        svo_palette_job job = {.kind = SVO_KIND_COLOR_SRGB8, .count = count, .source = give_sample, .user = &s, .table = k->table,
+                               .table_count = *table_count, .goal = *goal, .threads = k->options->threads, .allocator = &k->p->memory.base};
+        svo_result r = svo_palette_encode(&job, &directory, &payload, &stats, err);
+        svo_buffer_free(&directory);
+        svo_buffer_free(&payload);
+        if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "attributes", err);
+        if (r != SVO_OK) return r;
+        if (quality(&stats, goal->squares, count) > aim) low = goal->price;
+        else high = goal->price;
+        goal->price = sqrt(low * high);
+    }
+    return make_goal_table(k, *goal, table_count, err);
+}
+
+/* Blocks chosen by what they cost, each value within a bound. */
+static svo_result pack_within(packing *k, svo_palette_goal goal, double aim, svo_error *err)
+{
+    enum { ROUNDS = 3 };
+    uint64_t table_count = 0;
     svo_palette_stats stats;
-    SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
+    if (aim > 0) SVO_TRY(find_price(k, &goal, aim, &table_count, err));
+    else SVO_TRY(make_goal_table(k, goal, &table_count, err));
+    for (int round = 0;; round++) {
+        source s = {k->values, NULL, NULL};
+        SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
+        double reached = quality(&stats, goal.squares, k->values->count);
+        if (!(aim > 0) || reached <= aim || round + 1 == ROUNDS) break;
+        goal.price *= pow(reached / aim, goal.squares ? 1.1 : 1.6) * 1.03; /* the sample was kinder than the whole */
+        forget_blocks(k);
+    }
     k->report->distinct_out = table_count;
     k->report->error_mean = stats.error_sum / (double)k->values->count;
     k->report->error_max = stats.error_max;
@@ -212,10 +280,13 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
     svo_palette_goal goal = {0};
     if (c->channel.kind == SVO_KIND_COLOR_SRGB8) goal.bound = options->color_delta_e;
     if (c->channel.kind == SVO_KIND_NORMAL_OCT32) goal.bound = options->normal_degrees;
-    if (goal.bound > 0) goal.price = 0.1 / goal.bound;
+    if (goal.bound > 0) goal.price = 0.1 / goal.bound; /* few bytes first, small errors second */
+    double aim = 0;
+    if (c->channel.kind == SVO_KIND_COLOR_SRGB8 && options->color_mean > 0) aim = options->color_mean;
+    if (c->channel.kind == SVO_KIND_COLOR_SRGB8 && options->color_psnr > 0) aim = 255.0 * 255 / pow(10, options->color_psnr / 10), goal.squares = true;
     svo_result r;
     if (k.mapped == NULL || k.table == NULL) r = svoi_no_memory(p, "attributes", err);
-    else if (goal.bound > 0 && k.distinct.count > 1) r = pack_within(&k, goal, err);
+    else if (goal.bound > 0 && k.distinct.count > 1) r = pack_within(&k, goal, aim, err);
     else r = pack_exactly(&k, err);
     svo_free(a, k.mapped, k.distinct.count, sizeof *k.mapped);
     svo_free(a, k.table, k.distinct.count, sizeof *k.table);

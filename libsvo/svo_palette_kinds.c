@@ -34,12 +34,22 @@ static float entry_cost(const svoi_lossy_state *s, uint32_t low, uint32_t high, 
 typedef struct cluster {
     uint32_t low, high;  /* items */
     float middle[3];     /* where it is cut */
+    float least[3], most[3]; /* a box around its items */
     int axis;
     float spread;        /* how much there is to gain by cutting it */
     uint32_t entry;
     float cost;
     bool valid;          /* the entry is within the bound of all items */
 } cluster;
+
+/* Take the entry if it is better. */
+static void try_entry(svoi_lossy_state *s, cluster *c, uint32_t entry)
+{
+    bool valid;
+    if (entry == c->entry) return;
+    float cost = entry_cost(s, c->low, c->high, entry, &valid);
+    if (valid > c->valid || (valid == c->valid && cost < c->cost)) c->entry = entry, c->cost = cost, c->valid = valid;
+}
 
 /* Mean, axis of largest variance, and the best entry for the items of a cluster. */
 static void measure(svoi_lossy_state *s, cluster *c)
@@ -50,9 +60,10 @@ static void measure(svoi_lossy_state *s, cluster *c)
         c->valid = s->own_fits[it->id];
         c->cost = svoi_cost(s->t, svoi_distance2(&it->p, it->w, &s->t->table[c->entry])) * it->count;
         c->spread = 0;
+        for (int k = 0; k < 3; k++) c->least[k] = c->most[k] = it->p.x[k];
         return;
     }
-    float weight = 0, sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, wh = 0;
+    float weight = 0, sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, wh = 0, least_x[3] = {0, 0, 0}, most_x[3] = {0, 0, 0};
     svoi_point o = it->p;
     for (uint32_t i = 0; i < c->high - c->low; i++) {
         float n = it[i].count;
@@ -62,12 +73,15 @@ static void measure(svoi_lossy_state *s, cluster *c)
             float x = it[i].p.x[k] - o.x[k];
             sum[k] += n * x;
             square[k] += n * x * x;
+            if (x < least_x[k]) least_x[k] = x;
+            if (x > most_x[k]) most_x[k] = x;
         }
     }
     wh /= weight;
     float largest = -1;
     c->spread = 0;
     for (int k = 0; k < 3; k++) {
+        c->least[k] = o.x[k] + least_x[k], c->most[k] = o.x[k] + most_x[k];
         float mean = sum[k] / weight, variance = square[k] - sum[k] * mean;
         if (k != 0) variance *= wh;
         c->middle[k] = o.x[k] + mean;
@@ -86,11 +100,16 @@ static void measure(svoi_lossy_state *s, cluster *c)
     }
     c->entry = svoi_near(s->t, &s->near, c->middle);
     c->cost = entry_cost(s, c->low, c->high, c->entry, &c->valid);
-    uint32_t other = s->own[it[nearest].id];
-    if (other == c->entry) return;
-    bool valid;
-    float cost = entry_cost(s, c->low, c->high, other, &valid);
-    if (valid > c->valid || (valid == c->valid && cost < c->cost)) c->entry = other, c->cost = cost, c->valid = valid;
+    try_entry(s, c, s->own[it[nearest].id]);
+    if (c->valid) return;
+    /* too wide for the mean: the middle is the best place that there is, and where to cut */
+    largest = -1;
+    for (int k = 0; k < 3; k++) {
+        float range = (most_x[k] - least_x[k]) * (k != 0 ? sqrtf(wh) : 1);
+        c->middle[k] = o.x[k] + (least_x[k] + most_x[k]) / 2;
+        if (range > largest) largest = range, c->axis = k;
+    }
+    if (largest < 3 * sqrtf(s->t->bound2) || s->t->squares) try_entry(s, c, svoi_near(s->t, &s->near, c->middle));
 }
 
 /* Items on the lower side of the cut come first; false when all are on one side. */
@@ -193,6 +212,68 @@ static void try_runs(svoi_lossy_state *s, const cluster *c, uint32_t k, float er
 
 static bool worth_trying_runs(uint32_t k) { return k <= 4 || k == 6 || k == 8 || k == 12 || k == 16 || k == 24 || k == 32 || k == 48 || k == 64; }
 
+static void add_entry(svoi_node *n, uint32_t entry)
+{
+    for (uint32_t i = 0; i < n->entries; i++)
+        if (n->entry[i] == entry) return;
+    if (n->entries < SVOI_LOSSY_ENTRIES) n->entry[n->entries++] = (uint16_t)entry;
+}
+
+/* Fewer entries than clusters: from theirs and those between two of them, always the one that covers most of what is left. */
+static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_node *n)
+{
+    svoi_node all = {.entries = 0}, with = {.entries = 0};
+    svoi_candidates candidates;
+    float reach = 2 * sqrtf(s->t->bound2), wh = sqrtf(s->item[0].w.wh + s->item[0].w.wd);
+    for (uint32_t i = 0; i < k; i++) add_entry(&all, c[i].entry);
+    for (uint32_t i = 0; i < k; i++)
+        for (uint32_t j = i + 1; j < k && all.entries < SVOI_LOSSY_ENTRIES; j++) {
+            float middle[3];
+            bool far = false;
+            for (int a = 0; a < 3; a++) {
+                float low = c[i].least[a] < c[j].least[a] ? c[i].least[a] : c[j].least[a], high = c[i].most[a] > c[j].most[a] ? c[i].most[a] : c[j].most[a];
+                middle[a] = (low + high) / 2;
+                far = far || (high - low) * (a != 0 ? wh : 1) > reach;
+            }
+            if (!far) add_entry(&all, svoi_near(s->t, &s->near, middle));
+        }
+    svoi_palette_candidates(s, &all, &candidates);
+    svoi_allowed(s, &candidates, s->allowed);
+    for (uint32_t left = s->items; left != 0;) {
+        float covers[SVOI_LOSSY_ENTRIES] = {0};
+        uint32_t best = 0;
+        for (uint32_t i = 0; i < left; i++)
+            for (uint64_t m = s->allowed[i]; m != 0; m &= m - 1) covers[__builtin_ctzll(m)] += 1;
+        for (uint32_t q = 1; q < all.entries; q++)
+            if (covers[q] > covers[best]) best = q;
+        if (!(covers[best] > 0) || with.entries + 1 >= k) return;
+        with.entry[with.entries++] = all.entry[best];
+        uint32_t kept = 0;
+        for (uint32_t i = 0; i < left; i++)
+            if (!(s->allowed[i] >> best & 1)) s->allowed[kept++] = s->allowed[i];
+        left = kept;
+    }
+    svoi_palette_candidates(s, &with, &candidates);
+    uint32_t entries = with.entries, width = width_of(entries);
+    float error = svoi_plain_cost(s, &candidates, NULL);
+    if (!(error < INFINITY) || entries < 2) return;
+    float cost = (float)(SVOI_HEADER_BITS + whole_bytes(entries * s->table_bits + s->length * width)) + error;
+    if (cost < n->cost) {
+        take(n, cost, SVO_BLOCK_PALETTE + width - 1);
+        n->entries = entries;
+        memcpy(n->entry, with.entry, sizeof n->entry);
+    }
+    if (entries < 3) return;
+    float fixed = (float)(SVOI_HEADER_BITS + 8 + entries * s->table_bits + s->length);
+    if (fixed + error + (float)(count_changes(s) * width) > 1.5f * n->cost) return;
+    cost = svoi_runs_cost(s, &candidates, width, NULL) + fixed + 4;
+    if (cost < n->cost) {
+        take(n, cost, SVO_BLOCK_PALETTE_RUNS + width - 2);
+        n->entries = entries;
+        memcpy(n->entry, with.entry, sizeof n->entry);
+    }
+}
+
 void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
 {
     if (s->t->count == 0) return;
@@ -201,6 +282,8 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
     for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = 0;
     float error = c[0].cost;
     uint32_t k = 1, invalid = !c[0].valid;
+    uint8_t saved[SVO_SUPERBLOCK];
+    bool covered = false;
     while (k < SVOI_LOSSY_ENTRIES) {
         uint32_t pick = k;
         for (uint32_t i = 0; i < k; i++)
@@ -227,6 +310,12 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
         uint32_t width = width_of(k), least = SVOI_HEADER_BITS + k * s->table_bits + s->length;
         if ((float)least >= n->cost) return;
         if (invalid != 0) continue;
+        if (!covered && k > 2) {
+            for (uint32_t i = 0; i < s->items; i++) saved[i] = s->label[s->item[i].id];
+            try_cover(s, c, k, n);
+            for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = saved[i];
+        }
+        covered = true;
         float cost = (float)(SVOI_HEADER_BITS + whole_bytes(k * s->table_bits + s->length * width)) + error;
         if (cost < n->cost) {
             take(n, cost, SVO_BLOCK_PALETTE + width - 1);

@@ -103,6 +103,17 @@ static void item_errors(const svoi_lossy_state *s, const svoi_item *it, const sv
     }
 }
 
+void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask)
+{
+    float error[SVOI_LOSSY_ENTRIES];
+    uint32_t count = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
+    for (uint32_t i = 0; i < s->items; i++) {
+        item_errors(s, &s->item[i], c, count, error);
+        mask[i] = 0;
+        for (uint32_t q = 0; q < c->count; q++) mask[i] |= (uint64_t)(error[q] < INFINITY) << q;
+    }
+}
+
 float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number)
 {
     float sum = 0, error[SVOI_LOSSY_ENTRIES];

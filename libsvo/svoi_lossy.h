@@ -43,6 +43,7 @@ typedef struct svoi_lossy_state {
     uint8_t label[SVO_SUPERBLOCK];   /* palette entry of a value of the block; by id */
     uint32_t mark[SVO_SUPERBLOCK], marks; /* by id: in this block when equal to marks */
     float error[SVO_SUPERBLOCK][SVOI_LOSSY_ENTRIES];
+    uint64_t allowed[SVO_SUPERBLOCK]; /* of each item */
     uint64_t changed[SVO_SUPERBLOCK]; /* of each run: bit q set when number q begins there */
     uint8_t before[SVO_SUPERBLOCK];   /* of each run: the number that a change comes from */
     uint32_t stamp;
@@ -83,6 +84,8 @@ void svoi_try_raw(svoi_lossy_state *s, svoi_node *n);
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number);
 /* The same with a number for each value, each the best for itself; the bits of the numbers are not counted. */
 float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number);
+/* Of each item, in order: bit q is set when candidate q is within the bound. */
+void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask);
 void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c);
 void svoi_line_candidates(const svoi_lossy_state *s, const svoi_node *n, uint32_t width, svoi_candidates *c);
 uint32_t svoi_lattice_number(svo_channel_kind kind, const svo_lattice *l, uint32_t value);

@@ -25,10 +25,30 @@ static bool parse_quality(const char *text, const char *key, uint32_t min_bits, 
     return *end == 0 && v >= min_bits && v <= max_bits;
 }
 
+/* Bounds of colours: deltaE=X, mean=X, psnr=X, joined by commas. False when it is something else. */
+static bool parse_color_goal(const char *text, svo_dag_options *o)
+{
+    double bound = 0, mean = 0, psnr = 0;
+    for (const char *at = text;; at++) {
+        double *to = strncmp(at, "deltaE=", 7) == 0 ? &bound : strncmp(at, "mean=", 5) == 0 ? &mean : strncmp(at, "psnr=", 5) == 0 ? &psnr : NULL;
+        if (to == NULL || *to > 0) return false;
+        const char *number = strchr(at, '=') + 1;
+        char *end;
+        *to = strtod(number, &end);
+        if (end == number || !isfinite(*to) || !(*to > 0) || (*end != 0 && *end != ',')) return false;
+        at = end;
+        if (*at == 0) break;
+    }
+    if (mean > 0 && psnr > 0) return false;
+    if (!(bound > 0)) bound = psnr > 0 ? 8 : mean > 0.75 ? 8 * mean : 6;
+    o->color_delta_e = bound, o->color_mean = mean, o->color_psnr = psnr;
+    return true;
+}
+
 int cli_take_quality(cli *c, const char *color, const char *normal, svo_dag_options *o)
 {
-    if (!parse_quality(color, "deltaE", 1, 16, &o->color_bits, &o->color_delta_e))
-        return cli_usage(c, "--color takes lossless, a number of bits from 1 to 16, or deltaE=X with X above 0, not '%s'", color);
+    if (!parse_color_goal(color, o) && !parse_quality(color, "deltaE", 1, 16, &o->color_bits, &o->color_delta_e))
+        return cli_usage(c, "--color takes lossless, a number of bits from 1 to 16, or deltaE=X, mean=X or psnr=X (deltaE with one of the others after a comma) with X above 0, not '%s'", color);
     if (!parse_quality(normal, "deg", 4, 32, &o->normal_bits, &o->normal_degrees) || o->normal_bits % 2 != 0)
         return cli_usage(c, "--normal takes lossless, an even number of bits from 4 to 32, or deg=X with X above 0, not '%s'", normal);
     return -1;

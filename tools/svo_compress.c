@@ -217,8 +217,8 @@ int main(int argc, char **argv)
     const cli_option options[] = {
         {.name = "geometry", .kind = CLI_CHOICE, .value = &args.geometry, .argument = "MODE", .choices = geometry_names,
          .help = "How geometry is packed: svdag and fast merge equal subtrees and use layout 1; symmetric merges mirror images as well, best what is equal under the 48 symmetries of the cube; both use layout 3, which takes the fewest bytes."},
-        {.name = "color", .kind = CLI_TEXT, .value = &args.color, .argument = "lossless|BITS|deltaE=X",
-         .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94."},
+        {.name = "color", .kind = CLI_TEXT, .value = &args.color, .argument = "lossless|BITS|deltaE=X|mean=X|psnr=X",
+         .help = "Colours: as they are; at most 2^BITS (1 to 16) different ones; every one within X in CIE94; or few bytes at a mean CIE94 or a PSNR (with deltaE=X after a comma: every one within it)."},
         {.name = "normal", .kind = CLI_TEXT, .value = &args.normal, .argument = "lossless|BITS|deg=X",
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees."},
         {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|none", .choices = lod_names,

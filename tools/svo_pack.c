@@ -183,7 +183,7 @@ int main(int argc, char **argv)
          .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material.", .group = "Meshes"},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
         {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "KIND", .help = "Voxels inside.", .group = "Meshes"},
-        {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "lossless|BITS|deltaE=X",
+        {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "lossless|BITS|deltaE=X|mean=X|psnr=X",
          .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94.", .group = "Meshes and .svo files"},
         {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "lossless|BITS|deg=X",
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees.", .group = "Meshes and .svo files"},

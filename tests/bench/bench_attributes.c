@@ -1,7 +1,11 @@
 /* Colours in few bits: blocks chosen by bits and error against Algorithm 1 of Dado et al. 2016 and against blocks with two
  * endpoints and variable weights after Dolonius et al. 2017, on the same streams in one run.
  *
- *     bench_attributes [-c CHANNEL] [-t THREADS] [-b N] FILE.svdag [...]      (files packed without loss)
+ *     bench_attributes [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag [...]
+ *
+ * The files are packed without loss. METHODS: any of a (Algorithm 1), d (two endpoints), o (ours). -x: ours with this goal
+ * alone (svo_palette_goal) and
+ * bits of a table index, with a histogram of modes.
  *
  * A line of CSV a method and setting: bits a value (tables, directories and headers included), CIE94 mean and largest,
  * PSNR and largest difference of a byte, millions of values coded a CPU second, nanoseconds of a random access whose
@@ -171,7 +175,7 @@ static uint64_t make_table(const stream *s, uint32_t bits, uint32_t **table, uin
 static void give(void *user, uint64_t first, uint32_t n, uint32_t *values) { memcpy(values, ((const stream *)user)->v + first, n * 4); }
 static uint32_t decode_blocks(const void *coded, uint64_t i) { return svo_palette_value(coded, i); }
 
-static void ours(const stream *s, double bound, double price, bool squares, const char *setting)
+static void ours(const stream *s, double bound, double price, bool squares, uint32_t table_bits, bool histogram, const char *setting)
 {
     svo_error err = {0};
     svo_palette_goal goal = {bound, price, squares};
@@ -180,7 +184,7 @@ static void ours(const stream *s, double bound, double price, bool squares, cons
     svo_buffer_init(&directory, NULL);
     svo_buffer_init(&payload, NULL);
     double started = cpu_seconds();
-    uint64_t n = make_table(s, bound > 0 ? 12 : 16, &table, &entry);
+    uint64_t n = make_table(s, table_bits, &table, &entry);
     svo_palette_job job = {.kind = SVO_KIND_COLOR_SRGB8, .count = s->count, .source = give, .user = (void *)(uintptr_t)s, .table = table,
                            .table_count = n, .goal = goal, .threads = s->threads};
     if (svo_palette_encode(&job, &directory, &payload, NULL, &err) != SVO_OK) die(err.message);
@@ -192,7 +196,7 @@ static void ours(const stream *s, double bound, double price, bool squares, cons
     svo_palette_stats stats;
     if (svo_palette_check(&p, &stats, &err) != SVO_OK) die(err.message);
     line(s, "blocks", setting, 8 * (directory.size + payload.size) + 24 * n, seconds, decode_blocks, &p);
-    if (getenv("BENCH_MODES") != NULL)
+    if (histogram)
         for (int m = 0; m < SVO_BLOCK_MODES; m++)
             if (stats.blocks[m] != 0)
                 fprintf(stderr, "  mode %2d: %8llu blocks %5.1f %% of values, %6.2f bits a value, %5.1f %% of bits\n", m, (unsigned long long)stats.blocks[m],
@@ -439,7 +443,8 @@ static void two_endpoints(const stream *s, double threshold)
 
 int main(int argc, char **argv)
 {
-    const char *channel = "color";
+    const char *channel = "color", *methods = "ado";
+    double goal[4] = {-1, 0, 0, 12};
     uint32_t threads = 1;
     uint64_t brute = 0;
     int i = 1;
@@ -447,35 +452,39 @@ int main(int argc, char **argv)
         if (argv[i][1] == 'c') channel = argv[i + 1];
         else if (argv[i][1] == 't') threads = (uint32_t)atoi(argv[i + 1]);
         else if (argv[i][1] == 'b') brute = (uint64_t)atoll(argv[i + 1]);
-        else die("unknown option");
+        else if (argv[i][1] == 'm') methods = argv[i + 1];
+        else if (argv[i][1] != 'x' || sscanf(argv[i + 1], "%lf,%lf,%lf,%lf", &goal[0], &goal[1], &goal[2], &goal[3]) != 4) die("unknown option");
     }
-    if (i >= argc) die("usage: bench_attributes [-c CHANNEL] [-t THREADS] [-b N] FILE.svdag ...");
+    if (i >= argc) die("usage: bench_attributes [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag ...");
     puts("stream,method,setting,bits_per_value,mean_delta_e,max_delta_e,psnr,max_byte,million_per_cpu_second,random_access_ns");
     for (; i < argc; i++) {
         stream s = {.threads = threads};
         load(argv[i], channel, &s);
         fprintf(stderr, "%s: %llu values, %llu different\n", s.name, (unsigned long long)s.count, (unsigned long long)s.distinct);
         if (brute != 0) growth(&s, brute);
-        const char *only = getenv("BENCH_ONLY");
-        if (only == NULL || strchr(only, 'a'))
+        if (goal[0] >= 0) {
+            ours(&s, goal[0], goal[1], goal[2] != 0, (uint32_t)goal[3], true, "as given");
+            methods = "";
+        }
+        if (strchr(methods, 'a'))
             for (uint32_t bits = 6; bits <= 14; bits++) algorithm1(&s, bits);
-        if (only == NULL || strchr(only, 'd'))
+        if (strchr(methods, 'd'))
             for (int k = 0; k < 3; k++) two_endpoints(&s, (const double[]){0.02, 0.05, 0.1}[k]);
-        if (only == NULL || strchr(only, 'o')) {
+        if (strchr(methods, 'o')) {
             static const double bounds[] = {0.5, 1, 2, 3, 5}, prices[] = {30, 10, 5, 3, 2, 1, 0.5}, squares[] = {0.3, 0.1, 0.05, 0.03, 0.02, 0.01};
             char setting[48];
-            ours(&s, 0, 0, false, "exact");
+            ours(&s, 0, 0, false, 16, false, "exact");
             for (size_t k = 0; k < sizeof bounds / sizeof *bounds; k++) {
                 snprintf(setting, sizeof setting, "deltaE=%g", bounds[k]);
-                ours(&s, bounds[k], 0.1 / bounds[k], false, setting);
+                ours(&s, bounds[k], 0.1 / bounds[k], false, 12, false, setting);
             }
             for (size_t k = 0; k < sizeof prices / sizeof *prices; k++) {
                 snprintf(setting, sizeof setting, "deltaE=6 %g bits a unit", prices[k]);
-                ours(&s, 6, prices[k], false, setting);
+                ours(&s, 6, prices[k], false, 12, false, setting);
             }
             for (size_t k = 0; k < sizeof squares / sizeof *squares; k++) {
                 snprintf(setting, sizeof setting, "deltaE=8 %g bits a square", squares[k]);
-                ours(&s, 8, squares[k], true, setting);
+                ours(&s, 8, squares[k], true, 12, false, setting);
             }
         }
         free(s.v), free(s.index), free(s.value), free(s.times);

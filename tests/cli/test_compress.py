@@ -159,6 +159,19 @@ def test_color_bound_holds(folder):
     check(sizes == sorted(sizes, reverse=True), sizes)
 
 
+def test_color_mean_and_psnr(folder):
+    svo, want = octree(folder)
+    for value, bound in (("mean=0.5", 6), ("mean=2", 16), ("psnr=40", 8), ("mean=1,deltaE=3", 3), ("deltaE=2,psnr=30", 2)):
+        out, report = compress(svo, "--color", value)
+        compare(Svdag(out), want, color_bound=bound)
+        e = report["errors"]["color"]
+        check(e["max"] <= bound, (value, e))
+        if "mean=" in value:
+            check(e["mean"] <= float(value.split("mean=")[1].split(",")[0]) * 1.02, (value, e))
+    for value in ("mean=", "mean=0", "mean=1,psnr=30", "deltaE=1,deltaE=2", "psnr=40,", "mean=nan", "deltaE=1;mean=1", "mean=1x"):
+        check(tool("svo-compress", svo, "-o", folder / "x.svdag", "--color", value).code == 1, value)
+
+
 def test_normal_bits_and_bound(folder):
     support.sphere_obj(folder / "s.obj")
     svo = folder / "s.svo"
