@@ -110,7 +110,8 @@ typedef struct pipe_run {
     uint32_t window;
     pthread_mutex_t lock;
     pthread_cond_t wake;
-    uint64_t produced, committed;
+    uint64_t produced, started, committed;
+    uint32_t ready; /* items to have produced before they are worked on */
     bool producing, committing, ended;
     svo_result result;
     uint64_t failed_at;
@@ -157,7 +158,8 @@ static void pipe_work(pipe_run *r, uint32_t worker)
             pthread_cond_broadcast(&r->wake);
             continue;
         }
-        if (!r->ended && !r->producing && r->produced - r->committed < r->window) {
+        /* Then keep some items ready, so that nobody waits while one takes long to produce. */
+        if (!r->ended && !r->producing && r->produced - r->committed < r->window && r->produced - r->started < r->ready) {
             uint64_t id = r->produced;
             void *item = r->items + (id % r->window) * p->item_size;
             r->producing = true;
@@ -170,16 +172,21 @@ static void pipe_work(pipe_run *r, uint32_t worker)
             if (result != SVO_OK) pipe_failed(r, result, id, &err);
             if (result != SVO_OK || !more) {
                 r->ended = true;
-                pthread_cond_broadcast(&r->wake);
-                continue;
+            } else {
+                r->state[id % r->window] = SLOT_BUSY;
+                r->produced++;
             }
-            r->state[id % r->window] = SLOT_BUSY;
-            r->produced++;
             pthread_cond_broadcast(&r->wake);
+            continue;
+        }
+        if (r->started < r->produced) {
+            uint64_t id = r->started++;
+            void *item = r->items + (id % r->window) * p->item_size;
             bool skip = r->result != SVO_OK && id >= r->failed_at;
             if (!skip) {
+                svo_error err = {0};
                 pthread_mutex_unlock(&r->lock);
-                result = p->work(p->user, item, worker, &err);
+                svo_result result = p->work(p->user, item, worker, &err);
                 pthread_mutex_lock(&r->lock);
                 if (result != SVO_OK) pipe_failed(r, result, id, &err);
             }
@@ -204,6 +211,7 @@ svo_result svo_pipeline_run(const svo_pipeline *p, svo_error *err)
 {
     uint32_t threads = clamp_threads(p->threads);
     pipe_run r = {.p = p, .window = p->window != 0 ? p->window : threads * 4};
+    r.ready = r.window < 2 * threads ? (r.window + 1) / 2 : threads;
     r.items = calloc(r.window, p->item_size != 0 ? p->item_size : 1);
     r.state = calloc(r.window, sizeof *r.state);
     if (r.items == NULL || r.state == NULL) {
