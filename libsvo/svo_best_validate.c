@@ -158,6 +158,13 @@ static svo_result check_pool(checker *c, uint32_t level)
     return SVO_OK;
 }
 
+/* Full leaves of a level count as if they were expanded. */
+static void count_full(checker *c, uint32_t level, uint32_t full, uint64_t times)
+{
+    uint64_t leaves = times * (uint64_t)__builtin_popcount(full);
+    for (uint32_t l = level; full != 0 && l <= c->v->depth; l++) c->nodes[l] += leaves << 3 * (l - level);
+}
+
 /* The node, and all that is written inside it, appears `times` times in the octree. */
 static void count_node(checker *c, uint32_t level, svoi_best_node n, uint64_t times)
 {
@@ -166,6 +173,7 @@ static void count_node(checker *c, uint32_t level, svoi_best_node n, uint64_t ti
     if (level == b->block_level) {
         svoi_best_block block;
         svoi_best_read_block(b, n, &block);
+        count_full(c, level + 1, block.full, times);
         for (uint32_t m = n.mask & ~block.full; m != 0; m &= m - 1) {
             uint64_t bits = block.bits[__builtin_ctz(m)];
             c->nodes[level + 1] += times;
@@ -175,6 +183,7 @@ static void count_node(checker *c, uint32_t level, svoi_best_node n, uint64_t ti
         return;
     }
     svoi_best_head h = svoi_best_read_head(b, level, n);
+    count_full(c, level + 1, h.full, times);
     for (uint32_t m = h.refs; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m), turn, slot = (uint32_t)__builtin_popcount(h.refs & ((1u << o) - 1));
         svoi_best_node child = svoi_best_child(b, level, n, &h, o, &turn);

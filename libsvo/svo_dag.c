@@ -7,7 +7,10 @@
 #include "svoi_dag.h"
 
 typedef struct blob {
-    uint64_t code;
+    uint64_t code;  /* chunks that it covers: code .. end - 1 */
+    uint64_t end;
+    uint32_t level; /* of its root; a full leaf's may be less than the chunks' */
+    bool full;      /* a full leaf as a whole */
     svo_tree_counts counts;
     svoi_bricks bricks;
     svoi_nodes nodes[SVO_CHUNK_LEVELS]; /* of levels chunk_level .. */
@@ -20,7 +23,7 @@ typedef struct blob {
 
 /* A node above the chunks whose children are still coming. */
 typedef struct frame {
-    uint32_t mask, refs[8];
+    uint32_t mask, full, refs[8];
     uint64_t size, index;
     svoi_sum sum[SVO_MAX_CHANNELS];
     svoi_labels labels[SVO_MAX_CHANNELS];
@@ -38,7 +41,8 @@ struct svo_dag_builder {
     svo_tree_counts counts;
     uint64_t attributes;
     bool has_previous;
-    uint64_t previous;
+    uint64_t previous, end; /* chunks that the last item covers: previous .. end - 1 */
+    uint32_t open;          /* frames 0 .. open - 1 are open: the levels above the last item */
     frame frames[SVO_MAX_DEPTH];
     uint32_t root;
     svo_buffer map[2]; /* local number -> global number */
@@ -170,18 +174,26 @@ static uint32_t walk_node(walk *w, uint32_t level, uint64_t *size)
     uint32_t mask = *w->mask++;
     if (level == w->brick_level) {
         uint64_t bits = 0;
-        for (uint32_t m = mask; m != 0; m &= m - 1) bits |= (uint64_t)*w->mask++ << (8 * (uint32_t)__builtin_ctz(m));
+        for (uint32_t m = mask; m != 0; m &= m - 1) {
+            uint64_t voxels = *w->mask++;
+            bits |= (voxels != 0 ? voxels : 255) << (8 * (uint32_t)__builtin_ctz(m)); /* an octant that is a full leaf is eight voxels */
+        }
         return add_brick(w, bits, size);
     }
-    uint32_t refs[8], k = (uint32_t)__builtin_popcount(mask), number = 0;
+    uint32_t refs[8], full = 0, k = 0, number = 0;
     *size = w->lod ? 1 : 0;
-    for (uint32_t i = 0; i < k; i++) {
-        uint64_t below;
-        refs[i] = walk_node(w, level + 1, &below);
+    for (uint32_t m = mask; m != 0; m &= m - 1) {
+        uint64_t below = 1;
+        if (*w->mask == 0) { /* a full leaf */
+            w->mask++;
+            full |= m & (0u - m);
+        } else {
+            refs[k++] = walk_node(w, level + 1, &below);
+        }
         *size += below;
     }
     if (w->result != SVO_OK) return 0;
-    svo_result r = svoi_nodes_insert(&w->to->nodes[level - w->chunk_level], mask, refs, *size, &number);
+    svo_result r = svoi_nodes_insert(&w->to->nodes[level - w->chunk_level], mask | full << 8, refs, *size, &number);
     if (r != SVO_OK) w->result = r;
     return number;
 }
@@ -192,15 +204,18 @@ static svo_result encode(void *user, const svo_chunk *chunk, uint32_t worker, vo
     svo_dag_builder *b = user;
     svo_tree_counts counts = {0};
     SVO_TRY(svo_chunk_check(&b->info, chunk, &counts, err));
-    if (counts.full_leaves != 0) return svo_fail(err, SVO_UNSUPPORTED, "full leaves of solid octrees cannot be packed");
     blob *c = svo_calloc(b->a, 1, sizeof *c);
     if (c == NULL) return svoi_no_memory(b->packed, "a chunk", err);
-    c->code = chunk->code;
+    c->code = svo_chunk_first(chunk);
+    c->end = svo_chunk_end(chunk);
+    c->level = chunk->level;
+    c->full = svo_chunk_full(chunk);
     c->counts = counts;
     c->bricks.a = b->a;
     for (uint32_t i = 0; i < SVO_CHUNK_LEVELS; i++) c->nodes[i].a = b->a;
     walk w = {chunk->masks, b->brick_level, b->chunk_level, b->options.lod, c, SVO_OK};
-    if (b->info.depth == 0) c->root = add_brick(&w, 1, &c->size);
+    if (c->full) c->size = 1;
+    else if (b->info.depth == 0) c->root = add_brick(&w, 1, &c->size);
     else if (b->info.depth == 1) c->root = add_brick(&w, chunk->masks[0], &c->size);
     else c->root = walk_node(&w, b->chunk_level, &c->size);
     svoi_bricks_seal(&c->bricks);
@@ -244,7 +259,7 @@ static svo_result merge_tables(svo_dag_builder *b, blob *c, uint32_t *root, svo_
         if (to == NULL) return svoi_no_memory(b->packed, "geometry", err);
         for (uint64_t i = 0; i < from->count; i++) {
             const uint32_t *item = from->items + from->start[i];
-            uint32_t refs[8], k = (uint32_t)__builtin_popcount(item[0]);
+            uint32_t refs[8], k = svoi_node_refs(item[0]);
             for (uint32_t j = 0; j < k; j++) refs[j] = map[item[1 + j]];
             svo_result r = svoi_nodes_insert(&b->nodes[level], item[0], refs, from->size[i], &to[i]);
             if (r != SVO_OK) return table_failed(b, r, err);
@@ -258,10 +273,12 @@ static svo_result merge_tables(svo_dag_builder *b, blob *c, uint32_t *root, svo_
     return SVO_OK;
 }
 
-static svo_result add_child(svo_dag_builder *b, frame *f, uint32_t octant, uint32_t ref, uint64_t size, const svoi_sum *sum,
+/* `ref` NULL: a full leaf. */
+static svo_result add_child(svo_dag_builder *b, frame *f, uint32_t octant, const uint32_t *ref, uint64_t size, const svoi_sum *sum,
                             const svoi_labels *labels, svo_error *err)
 {
-    f->refs[__builtin_popcount(f->mask)] = ref;
+    if (ref != NULL) f->refs[svoi_node_refs(f->mask | f->full << 8)] = *ref;
+    else f->full |= 1u << octant;
     f->mask |= 1u << octant;
     f->size += size;
     if (!b->options.lod) return SVO_OK;
@@ -277,7 +294,7 @@ static svo_result add_child(svo_dag_builder *b, frame *f, uint32_t octant, uint3
 static svo_result open_frame(svo_dag_builder *b, uint32_t level, svo_error *err)
 {
     frame *f = &b->frames[level];
-    f->mask = 0;
+    f->mask = f->full = 0;
     f->size = b->options.lod ? 1 : 0;
     f->index = b->attributes;
     for (uint32_t i = 0; i < b->info.channel_count; i++) {
@@ -295,7 +312,7 @@ static svo_result close_frame(svo_dag_builder *b, uint32_t level, svo_error *err
 {
     frame *f = &b->frames[level];
     uint32_t number;
-    svo_result r = svoi_nodes_insert(&b->nodes[level], f->mask, f->refs, f->size, &number);
+    svo_result r = svoi_nodes_insert(&b->nodes[level], f->mask | f->full << 8, f->refs, f->size, &number);
     if (r != SVO_OK) return table_failed(b, r, err);
     for (uint32_t i = 0; i < b->info.channel_count && b->options.lod; i++) {
         if (b->info.channels[i].constant) continue;
@@ -309,40 +326,46 @@ static svo_result close_frame(svo_dag_builder *b, uint32_t level, svo_error *err
         return SVO_OK;
     }
     uint32_t octant = (uint32_t)(b->previous >> (3 * (b->chunk_level - level))) & 7;
-    return add_child(b, &b->frames[level - 1], octant, number, f->size, f->sum, f->labels, err);
+    return add_child(b, &b->frames[level - 1], octant, &number, f->size, f->sum, f->labels, err);
 }
 
 static svo_result close_frames(svo_dag_builder *b, uint32_t first, svo_error *err)
 {
-    for (uint32_t level = b->chunk_level; level-- > first;) SVO_TRY(close_frame(b, level, err));
+    while (b->open > first) {
+        SVO_TRY(close_frame(b, b->open - 1, err));
+        b->open--;
+    }
     return SVO_OK;
 }
 
 static svo_result commit_blob(svo_dag_builder *b, blob *c, svo_error *err)
 {
-    if (b->has_previous && c->code <= b->previous)
+    if (b->has_previous && c->code < b->end)
         return svo_fail(err, SVO_INVALID_DATA, "chunk %llx is out of order", (unsigned long long)c->code);
     uint32_t root = 0;
-    SVO_TRY(merge_tables(b, c, &root, err));
+    if (!c->full) SVO_TRY(merge_tables(b, c, &root, err));
     uint32_t first = 0; /* highest level at which a new node begins */
     if (b->has_previous) {
-        while (b->previous >> (3 * (b->chunk_level - first)) == c->code >> (3 * (b->chunk_level - first))) first++;
+        while (first < b->open && b->previous >> (3 * (b->chunk_level - first)) == c->code >> (3 * (b->chunk_level - first))) first++;
         SVO_TRY(close_frames(b, first, err));
     }
-    for (uint32_t level = first; level < b->chunk_level; level++) SVO_TRY(open_frame(b, level, err));
-    svo_counts_ancestors(&b->counts, b->chunk_level, b->chunk_level, b->has_previous, b->previous, c->code);
+    for (uint32_t level = first; level < c->level; level++) SVO_TRY(open_frame(b, level, err));
+    b->open = c->level;
+    svo_counts_ancestors(&b->counts, b->chunk_level, c->level, b->has_previous, b->previous, c->code);
     svo_counts_add(&b->counts, &c->counts);
     for (uint32_t i = 0; i < b->info.channel_count; i++)
         if (!b->info.channels[i].constant && !svoi_values_append(&b->values[i], c->values[i], c->size))
             return svoi_no_memory(b->packed, "attributes", err);
     b->attributes += c->size;
     b->previous = c->code;
+    b->end = c->end;
     b->has_previous = true;
     if (b->chunk_level == 0) {
         b->root = root;
         return SVO_OK;
     }
-    return add_child(b, &b->frames[b->chunk_level - 1], (uint32_t)c->code & 7, root, c->size, c->sum, c->labels, err);
+    uint32_t octant = (uint32_t)(c->code >> 3 * (b->chunk_level - c->level)) & 7;
+    return add_child(b, &b->frames[c->level - 1], octant, c->full ? NULL : &root, c->size, c->sum, c->labels, err);
 }
 
 static svo_result commit(void *user, void *p, svo_error *err)
@@ -388,10 +411,10 @@ static void fill_view(const svo_dag_builder *b, svo_view *v)
     for (uint32_t i = 0; i < v->channel_count; i++) v->channels[i].channel = b->info.channels[i];
 }
 
-/* A single brick has nothing to gain: it is always laid out plainly. */
+/* A single brick, or none (full leaves alone), has nothing to gain: it is always laid out plainly. */
 static svo_result lay_out(svo_dag_builder *b, svo_error *err)
 {
-    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0)
+    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0 && b->bricks.count != 0)
         return svoi_layout_best(b->packed, b->nodes, &b->bricks, b->options.geometry == SVO_GEOMETRY_SYMMETRIC, b->options.threads, err);
     return svoi_layout_plain(b->packed, b->nodes, &b->bricks, err);
 }

@@ -162,10 +162,31 @@ static void sum_voxels(walk *w, uint32_t n, svoi_sum *sum)
     *sum = (svoi_sum){.s = {s[0], s[1], s[2]}, .n = n, .first = first, .uniform = uniform};
 }
 
+/* Copies of the next value, of a full leaf: one, or those of an octant, which has attributes of its own and of its voxels. */
+static void put_full(walk *w, uint32_t height, bool lod)
+{
+    uint32_t copies = height != 1 ? 1 : lod ? 9 : 8;
+    for (uint32_t i = 0; i < copies; i++, w->out += w->stride) memcpy(w->out, w->in, w->stride);
+    w->in += w->stride;
+}
+
+/* The sum over all voxels of a full leaf of the next value. */
+static void sum_full(walk *w, uint32_t height, svoi_sum *sum)
+{
+    sum_voxels(w, 1, sum);
+    sum->n = (uint64_t)1 << 3 * height;
+    for (int i = 0; i < 3; i++) sum->s[i] *= (svoi_wide)sum->n;
+}
+
 /* Depth is bounded by SVO_CHUNK_LEVELS. */
 static void walk_sums(walk *w, uint32_t level, svoi_sum *sum)
 {
     uint32_t mask = *w->mask++, k = (uint32_t)__builtin_popcount(mask);
+    if (mask == 0) {
+        sum_full(w, w->c->depth - level, sum);
+        put_full(w, w->c->depth - level, true);
+        return;
+    }
     uint8_t *own = w->out;
     w->out += w->stride;
     if (level + 1 == w->c->depth) {
@@ -188,6 +209,13 @@ static void walk_sums(walk *w, uint32_t level, svoi_sum *sum)
 static void walk_labels(walk *w, uint32_t level)
 {
     uint32_t mask = *w->mask++, k = (uint32_t)__builtin_popcount(mask);
+    if (mask == 0) {
+        uint32_t height = w->c->depth - level;
+        if (!labels_reserve(&w->stack, w->stack.count + 1)) w->failed = true;
+        else w->stack.label[w->stack.count++] = (svoi_label){(uint64_t)1 << 3 * height, svoi_load_value(w->in, w->stride)};
+        put_full(w, height, true);
+        return;
+    }
     uint8_t *own = w->out;
     uint64_t begin = w->stack.count;
     w->out += w->stride;
@@ -207,12 +235,37 @@ static void walk_labels(walk *w, uint32_t level)
     if (!w->failed) svoi_labels_value(w->stack.label + begin, w->stack.count - begin, w->kind, own);
 }
 
+/* The values alone, in order. */
+static void walk_values(walk *w)
+{
+    const svo_chunk *c = w->c;
+    uint8_t left[SVO_CHUNK_LEVELS + 1];
+    uint32_t l = 0, levels = c->depth - c->level;
+    if (c->node_count == 0) {
+        memcpy(w->out, w->in, w->stride);
+        return;
+    }
+    for (uint64_t i = 0; i < c->node_count; i++) {
+        uint32_t k = (uint32_t)__builtin_popcount(c->masks[i]);
+        if (k != 0 && l + 1 < levels) {
+            left[l++] = (uint8_t)k;
+            continue;
+        }
+        if (k == 0) put_full(w, levels - l, false);
+        memcpy(w->out, w->in, (size_t)k * w->stride);
+        w->out += (size_t)k * w->stride;
+        w->in += (size_t)k * w->stride;
+        while (l > 0 && --left[l - 1] == 0) l--;
+    }
+}
+
 svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, uint32_t virtual_levels,
                                  uint8_t *out, svoi_sum *sum, svoi_labels *labels)
 {
     walk w = {.c = c, .kind = kind, .stride = svo_channel_stride(kind), .in = c->channels[channel], .mask = c->masks};
+    w.out = out;
     if (!lod) {
-        memcpy(out, w.in, (size_t)c->value_count * w.stride);
+        walk_values(&w);
         return SVO_OK;
     }
     if (kind == SVO_KIND_COLOR_SRGB8)
@@ -221,10 +274,11 @@ svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_chann
     uint8_t *root = out + (size_t)virtual_levels * w.stride;
     w.out = root;
     w.stack.a = w.spare.a = labels->a;
-    if (c->node_count == 0) { /* depth 0: the voxel is the root */
+    if (c->node_count == 0) { /* a full leaf, or depth 0: the voxel is the root */
+        uint32_t height = c->depth - c->level;
         memcpy(root, w.in, w.stride);
-        if (svoi_is_label(kind)) w.failed = !svoi_labels_merge(labels, &(svoi_label){1, svoi_load_value(w.in, w.stride)}, 1);
-        else sum_voxels(&w, 1, sum);
+        if (svoi_is_label(kind)) w.failed = !svoi_labels_merge(labels, &(svoi_label){(uint64_t)1 << 3 * height, svoi_load_value(w.in, w.stride)}, 1);
+        else sum_full(&w, height, sum);
     } else if (svoi_is_label(kind)) {
         walk_labels(&w, c->level);
         if (!w.failed) {

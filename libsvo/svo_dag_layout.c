@@ -11,8 +11,9 @@ static uint32_t offset_words(const svo_view *v, const svoi_nodes *n, const uint6
     if (v->unnumbered) return 0;
     for (uint64_t i = 0; i < n->count; i++) {
         const uint32_t *item = n->items + n->start[i];
-        uint32_t last = item[__builtin_popcount(item[0])];
-        uint64_t size = child_size != NULL ? child_size[last] : svoi_brick_size(lod, bricks[last]);
+        uint32_t last = item[svoi_node_refs(item[0])];
+        bool full = item[0] >> 8 > (item[0] & 0xff & ~(item[0] >> 8)); /* the last child is a full leaf */
+        uint64_t size = full ? 1 : child_size != NULL ? child_size[last] : svoi_brick_size(lod, bricks[last]);
         if (n->size[i] - size > UINT32_MAX) return 2;
     }
     return 1;
@@ -21,17 +22,21 @@ static uint32_t offset_words(const svo_view *v, const svoi_nodes *n, const uint6
 static void emit_node(uint32_t *w, const uint32_t *item, uint32_t ow, const uint32_t *child_position, const uint64_t *child_size,
                       const uint64_t *bricks, bool lod)
 {
-    uint32_t k = (uint32_t)__builtin_popcount(item[0]);
+    uint32_t r = svoi_node_refs(item[0]), refs = 0;
     uint64_t offset = lod ? 1 : 0;
     w[0] = item[0];
-    uint32_t *o = w + 1 + k;
-    for (uint32_t j = 0; j < k; j++) {
-        uint32_t ref = item[1 + j];
-        w[1 + j] = child_position != NULL ? child_position[ref] : ref;
-        if (j != 0 && ow != 0) {
+    uint32_t *o = w + 1 + r;
+    for (uint32_t m = item[0] & 0xff; m != 0; m &= m - 1) {
+        if (m != (item[0] & 0xff) && ow != 0) { /* not the first child */
             *o++ = (uint32_t)offset;
             if (ow == 2) *o++ = (uint32_t)(offset >> 32);
         }
+        if (item[0] >> 8 >> __builtin_ctz(m) & 1) {
+            offset++;
+            continue;
+        }
+        uint32_t ref = item[1 + refs];
+        w[1 + refs++] = child_position != NULL ? child_position[ref] : ref;
         offset += child_size != NULL ? child_size[ref] : svoi_brick_size(lod, bricks[ref]);
     }
 }
@@ -48,9 +53,9 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
     uint32_t *at = svo_alloc(a, n->count, sizeof *at);
     if (at == NULL) return svoi_no_memory(p, "geometry", err);
     for (uint64_t i = 0; i < n->count; i++) {
-        uint32_t k = (uint32_t)__builtin_popcount(n->items[n->start[i]]);
+        uint32_t mask = n->items[n->start[i]], k = (uint32_t)__builtin_popcount(mask & 0xff);
         at[i] = (uint32_t)words;
-        words += 1 + k + (k - 1) * (uint64_t)ow;
+        words += 1 + svoi_node_refs(mask) + (k - 1) * (uint64_t)ow;
     }
     svo_result r = SVO_OK;
     if (words > UINT32_MAX) r = svo_fail(err, SVO_LIMIT, "level %u has more than 2^32 words of distinct nodes", level);

@@ -96,7 +96,7 @@ void svoi_bricks_free(svoi_bricks *b)
 static uint64_t hash_stored(const svoi_nodes *n, uint64_t number)
 {
     const uint32_t *item = n->items + n->start[number];
-    return hash_node(item[0], item + 1, (uint32_t)__builtin_popcount(item[0]));
+    return hash_node(item[0], item + 1, svoi_node_refs(item[0]));
 }
 
 static bool nodes_reserve(svoi_nodes *n, uint32_t k)
@@ -111,7 +111,7 @@ static bool nodes_reserve(svoi_nodes *n, uint32_t k)
 
 svo_result svoi_nodes_insert(svoi_nodes *n, uint32_t mask, const uint32_t *refs, uint64_t size, uint32_t *number)
 {
-    uint32_t k = (uint32_t)__builtin_popcount(mask);
+    uint32_t k = svoi_node_refs(mask);
     if ((n->count + 1) * 3 > n->slot_count * 2) {
         uint64_t wanted, *slots = more_slots(n->a, n->slot_count, &wanted);
         if (slots == NULL) return SVO_OUT_OF_MEMORY;
@@ -125,7 +125,7 @@ svo_result svoi_nodes_insert(svoi_nodes *n, uint32_t mask, const uint32_t *refs,
         if ((n->slots[i] ^ hash) >> 32 != 0) continue;
         uint32_t old = (uint32_t)n->slots[i] - 1;
         const uint32_t *item = n->items + n->start[old];
-        if (item[0] == mask && memcmp(item + 1, refs, k * sizeof *refs) == 0) {
+        if (item[0] == mask && (k == 0 || memcmp(item + 1, refs, k * sizeof *refs) == 0)) {
             *number = old;
             return SVO_OK;
         }
@@ -134,7 +134,7 @@ svo_result svoi_nodes_insert(svoi_nodes *n, uint32_t mask, const uint32_t *refs,
     if (!nodes_reserve(n, k)) return SVO_OUT_OF_MEMORY;
     uint32_t *item = n->items + n->item_count;
     item[0] = mask;
-    memcpy(item + 1, refs, k * sizeof *refs);
+    if (k != 0) memcpy(item + 1, refs, k * sizeof *refs);
     n->start[n->count] = (uint32_t)n->item_count;
     n->size[n->count] = size;
     n->item_count += 1 + k;

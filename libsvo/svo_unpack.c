@@ -18,7 +18,8 @@ void svo_unpack_begin(svo_unpack *u, const svo_view *view)
 
 /* What fetch hands to decode: where the chunk's root is. */
 typedef struct place {
-    uint64_t code;
+    uint64_t code; /* at `level` */
+    uint32_t level; /* less than that of chunks only of a full leaf */
     svo_view_node node;
 } place;
 
@@ -31,7 +32,7 @@ static bool next_root(svo_unpack *u, place *out)
         u->started = true;
         u->node[0] = svo_view_root(v);
         if (cut == 0) {
-            *out = (place){0, u->node[0]};
+            *out = (place){0, 0, u->node[0]};
             return true;
         }
         u->left[0] = svo_view_mask(v, 0, u->node[0]);
@@ -47,8 +48,8 @@ static bool next_root(svo_unpack *u, place *out)
         uint32_t octant = (uint32_t)__builtin_ctz(u->left[u->level]);
         u->left[u->level] &= (uint8_t)(u->left[u->level] - 1);
         svo_view_node child = svo_view_child(v, u->level, u->node[u->level], octant);
-        if (u->level + 1 == cut) {
-            *out = (place){u->code << 3 | octant, child};
+        if (u->level + 1 == cut || child.full) {
+            *out = (place){u->code << 3 | octant, u->level + 1, child};
             return true;
         }
         u->code = u->code << 3 | octant;
@@ -102,6 +103,10 @@ static uint64_t collect_masks(const svo_view *v, uint32_t level, svo_view_node r
         uint32_t octant = (uint32_t)__builtin_ctz(left[l]);
         left[l] &= (uint8_t)(left[l] - 1);
         svo_view_node child = svo_view_child(v, level + l, node[l], octant);
+        if (child.full) {
+            to[n++] = 0;
+            continue;
+        }
         if (l + 1 == bricks) {
             n += brick_masks(svo_view_brick(v, child), to + n);
             continue;
@@ -117,8 +122,8 @@ static void read_values(const svo_view *v, uint32_t channel, uint64_t first, uin
     for (uint64_t i = 0; i < count; i++) svo_view_attribute(v, channel, first + i, to + i * stride);
 }
 
-/* Values of all finest voxels below a chunk root whose attribute index is `index`. The index grows by one for every
- * node in preorder with lod, for every finest voxel without. */
+/* Values of all finest voxels and full leaves below a chunk root whose attribute index is `index`. The index grows by one for every
+ * node in preorder with lod, for every value without. */
 static void collect_values(const svo_view *v, uint32_t channel, uint32_t levels, const uint8_t *masks, uint64_t mask_count,
                            uint64_t index, uint8_t *to)
 {
@@ -126,9 +131,10 @@ static void collect_values(const svo_view *v, uint32_t channel, uint32_t levels,
     uint8_t left[SVO_CHUNK_LEVELS + 1];
     uint32_t l = 0;
     for (uint64_t i = 0; i < mask_count; i++) {
-        if (v->lod) index++;
         uint32_t k = (uint32_t)__builtin_popcount(masks[i]);
-        if (l + 1 < levels) {
+        if (v->lod && k != 0) index++;
+        if (k == 0) k = 1; /* a full leaf: its index is that of its value */
+        else if (l + 1 < levels) {
             left[l++] = (uint8_t)k;
             continue;
         }
@@ -147,9 +153,11 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     uint32_t level = svo_chunk_level(v->depth);
     storage->size = 0;
     if (!svo_buffer_reserve(storage, MAX_MASKS)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-    svo_chunk c = {.code = p.code, .level = level, .depth = v->depth};
+    svo_chunk c = {.code = p.code, .level = p.level, .depth = v->depth};
     uint64_t index = p.node.attribute;
-    if (v->depth == 0) {
+    if (p.node.full) {
+        c.value_count = 1;
+    } else if (v->depth == 0) {
         index = svo_view_brick_voxel(v, p.node, svo_view_brick(v, p.node), 0);
         c.value_count = 1;
     } else if (v->depth == 1) { /* the octree is the brick's first octant */
@@ -164,7 +172,8 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     uint8_t left[SVO_CHUNK_LEVELS + 1];
     for (uint64_t i = 0; i < c.node_count; i++) {
         uint32_t k = (uint32_t)__builtin_popcount(storage->data[i]);
-        if (l + 1 < levels) {
+        if (k == 0) k = 1; /* a full leaf */
+        else if (l + 1 < levels) {
             left[l++] = (uint8_t)k;
             continue;
         }
@@ -183,7 +192,7 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
     for (uint32_t i = 0; i < v->channel_count; i++) {
         if (v->channels[i].channel.constant) continue;
         c.channels[i] = storage->data + at[i];
-        if (v->depth == 0) read_values(v, i, index, 1, storage->data + at[i]);
+        if (c.node_count == 0) read_values(v, i, index, 1, storage->data + at[i]);
         else collect_values(v, i, levels, storage->data, c.node_count, index, storage->data + at[i]);
     }
     *out = c;

@@ -38,7 +38,12 @@ static uint32_t extreme(const svo_view *v, frontier levels[2], uint32_t axis, bo
             for (uint64_t w = 0; w < (count + 63) / 64; w++)
                 for (uint64_t set = now->bits[w]; set != 0; set &= set - 1) {
                     uint32_t ref = (uint32_t)(64 * w) + (uint32_t)__builtin_ctzll(set);
-                    uint32_t mask = v->levels[level].words[ref] & 0xffu;
+                    uint32_t mask = v->levels[level].words[ref] & 0xffu, full = v->levels[level].words[ref] >> 8;
+                    if (full & octants) { /* it reaches to the end of its cell: nothing can be further out */
+                        uint32_t rest = v->tree_depth - level - 1, bit = upper == (pass == 0);
+                        return (2 * coordinate + bit) << rest | (upper ? (1u << rest) - 1 : 0);
+                    }
+                    mask &= ~full;
                     for (uint32_t m = mask & octants; m != 0; m &= m - 1) {
                         uint32_t octant = (uint32_t)__builtin_ctz(m);
                         uint32_t slot = (uint32_t)__builtin_popcount(mask & ((1u << octant) - 1));

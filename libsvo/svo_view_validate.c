@@ -35,17 +35,17 @@ static svo_result find_starts(validate *c, uint32_t level)
     starts *s = &c->level[level];
     if (c->v->unnumbered ? l->offset_words != 0 : l->offset_words != 1 && l->offset_words != 2)
         return bad(c, "DAG-03", level, 0, "offsets have 1 or 2 words, 0 where nothing is numbered");
-    if (l->word_count == 0 || l->word_count > UINT32_MAX) return bad(c, "DAG-03", level, 0, "number of words out of range");
+    if (l->word_count > UINT32_MAX) return bad(c, "DAG-03", level, 0, "number of words out of range");
     s->words = l->word_count / 64 + 1;
     s->bit = svo_calloc(c->a, s->words, sizeof *s->bit);
     s->before = svo_alloc(c->a, s->words, sizeof *s->before);
     if (s->bit == NULL || s->before == NULL) return no_memory(c);
     uint64_t nodes = 0;
     for (uint64_t w = 0; w < l->word_count; nodes++) {
-        uint32_t mask = l->words[w];
-        if (mask == 0 || mask > 0xff) return bad(c, "DAG-04", level, w, "mask is empty or has unused bits");
+        uint32_t mask = l->words[w] & 0xff, full = l->words[w] >> 8;
+        if (mask == 0 || (full & ~mask) != 0) return bad(c, "DAG-04", level, w, "mask is empty, has unused bits or full leaves that are not in it");
         uint32_t k = (uint32_t)__builtin_popcount(mask);
-        uint64_t words = 1 + k + (k - 1) * (uint64_t)l->offset_words;
+        uint64_t words = 1 + (uint64_t)__builtin_popcount(mask & ~full) + (k - 1) * (uint64_t)l->offset_words;
         if (words > l->word_count - w) return bad(c, "DAG-03", level, w, "node reaches beyond its level");
         s->bit[w / 64] |= (uint64_t)1 << w % 64;
         w += words;
@@ -79,8 +79,8 @@ static uint64_t child_number(const validate *c, uint32_t level, uint32_t ref)
 static bool renew(validate *c, uint64_t **array, uint64_t *count, uint64_t want)
 {
     svo_free(c->a, *array, *count, sizeof **array);
-    *count = want;
-    *array = svo_calloc(c->a, want, sizeof **array);
+    *count = want != 0 ? want : 1;
+    *array = svo_calloc(c->a, *count, sizeof **array);
     return *array != NULL;
 }
 
@@ -102,22 +102,26 @@ static svo_result check_level(validate *c, uint32_t level)
     uint64_t w = 0;
     for (uint64_t i = 0; i < l->node_count; i++) {
         const uint32_t *node = l->words + w;
-        uint32_t k = (uint32_t)__builtin_popcount(node[0]);
-        const uint32_t *o = node + 1 + k;
+        uint32_t mask = node[0] & 0xff, full = node[0] >> 8, r = (uint32_t)__builtin_popcount(mask & ~full), refs = 0;
+        const uint32_t *o = node + 1 + r;
         uint64_t size = v->lod ? 1 : 0;
-        for (uint32_t j = 0; j < k; j++) {
-            uint32_t ref = node[1 + j];
-            if (above_bricks ? ref >= v->brick_count : !is_start(c, level + 1, ref))
-                return bad(c, "DAG-05", level, w, "a reference does not point to a node");
-            if (j != 0 && l->offset_words != 0) {
+        for (uint32_t m = mask; m != 0; m &= m - 1) {
+            if (m != mask && l->offset_words != 0) { /* not the first child */
                 uint64_t offset = *o++;
                 if (l->offset_words == 2) offset |= (uint64_t)*o++ << 32;
                 if (offset != size) return bad(c, "DAG-06", level, w, "an offset is not the size of the subtrees before it");
             }
+            if (full >> __builtin_ctz(m) & 1) {
+                size++;
+                continue;
+            }
+            uint32_t ref = node[1 + refs++];
+            if (above_bricks ? ref >= v->brick_count : !is_start(c, level + 1, ref))
+                return bad(c, "DAG-05", level, w, "a reference does not point to a node");
             size += above_bricks ? brick_size(v->lod, v->bricks[ref]) : below[number(c, level + 1, ref)];
         }
         c->size[own][i] = size;
-        w += 1 + k + (k - 1) * (uint64_t)l->offset_words;
+        w += 1 + r + ((uint32_t)__builtin_popcount(mask) - 1) * (uint64_t)l->offset_words;
     }
     return SVO_OK;
 }
@@ -136,12 +140,14 @@ static svo_result count_nodes(validate *c)
         if (!renew(c, &c->times[own ^ 1], &c->times_count[own ^ 1], above_bricks ? v->brick_count : v->levels[level + 1].node_count)) return no_memory(c);
         uint64_t w = 0;
         for (uint64_t i = 0; i < l->node_count; i++) {
-            uint32_t k = (uint32_t)__builtin_popcount(l->words[w]);
+            uint32_t mask = l->words[w] & 0xff, full = l->words[w] >> 8, r = (uint32_t)__builtin_popcount(mask & ~full);
             uint64_t times = c->times[own][i];
             if (times == 0) return bad(c, "DAG-05", level, w, "a node that nothing refers to");
             nodes[level] += times;
-            for (uint32_t j = 0; j < k; j++) c->times[own ^ 1][child_number(c, level, l->words[w + 1 + j])] += times;
-            w += 1 + k + (k - 1) * (uint64_t)l->offset_words;
+            for (uint32_t j = 0; j < r; j++) c->times[own ^ 1][child_number(c, level, l->words[w + 1 + j])] += times;
+            uint64_t leaves = times * (uint64_t)__builtin_popcount(full);
+            for (uint32_t below = level + 1; leaves != 0 && below <= v->depth; below++) nodes[below] += leaves << 3 * (below - level - 1);
+            w += 1 + r + ((uint32_t)__builtin_popcount(mask) - 1) * (uint64_t)l->offset_words;
         }
     }
     uint64_t parts[3] = {0}; /* bricks, octants, voxels */
@@ -154,7 +160,7 @@ static svo_result count_nodes(validate *c)
     }
     for (uint32_t i = 0; i < 3; i++) {
         uint32_t virtual_levels = v->tree_depth - v->depth, level = v->brick_level + i;
-        if (level >= virtual_levels) nodes[level - virtual_levels] = parts[i];
+        if (level >= virtual_levels) nodes[level - virtual_levels] += parts[i];
     }
     for (uint32_t level = 0; level <= SVO_MAX_DEPTH; level++)
         if (nodes[level] != v->nodes[level]) return bad(c, "DAG-07", level, nodes[level], "number of octree nodes is wrong");
@@ -164,7 +170,7 @@ static svo_result count_nodes(validate *c)
 static svo_result check_geometry(validate *c)
 {
     const svo_view *v = c->v;
-    if (v->brick_count == 0 || v->brick_count > UINT32_MAX) return bad(c, "DAG-04", v->brick_level, 0, "number of bricks out of range");
+    if ((v->brick_count == 0 && v->brick_level == 0) || v->brick_count > UINT32_MAX) return bad(c, "DAG-04", v->brick_level, 0, "number of bricks out of range");
     uint64_t allowed = v->depth == 0 ? 1 : v->depth == 1 ? 0xff : ~(uint64_t)0;
     for (uint64_t i = 0; i < v->brick_count; i++)
         if (v->bricks[i] == 0 || (v->bricks[i] & ~allowed) != 0)

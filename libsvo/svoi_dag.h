@@ -1,6 +1,6 @@
 /* Internal to libsvo: the parts of the DAG builder. Not installed.
  *
- * While building, a node is (mask, references) where a reference is the NUMBER of a node of the next level, or of a
+ * While building, a node is (mask, references; full leaves have none) where a reference is the NUMBER of a node of the next level, or of a
  * brick; numbers are given in order of first appearance in the octree's depth-first order. The layout of the packed
  * file (word positions, offsets) is made from that at the end, so that other layouts can be made from the same. */
 #ifndef SVOI_DAG_H
@@ -20,7 +20,7 @@ typedef struct svoi_bricks {
 
 typedef struct svoi_nodes {
     const svo_allocator *a;
-    uint32_t *items; /* mask, references */
+    uint32_t *items; /* mask (full leaves in bits 8..15), references */
     uint64_t item_count, item_capacity;
     uint32_t *start; /* of a node in items */
     uint64_t start_capacity;
@@ -34,7 +34,9 @@ typedef struct svoi_nodes {
 /* Number of the brick, new or old. SVO_OUT_OF_MEMORY, or SVO_LIMIT when 32 bits do not suffice. */
 svo_result svoi_bricks_insert(svoi_bricks *b, uint64_t bits, uint32_t *number);
 void svoi_bricks_free(svoi_bricks *b);
-/* `size` must follow from mask and refs. */
+/* Children of a node that are no full leaves, so that it has references to them. */
+static inline uint32_t svoi_node_refs(uint32_t mask) { return (uint32_t)__builtin_popcount(mask & 0xff & ~(mask >> 8)); }
+/* `mask` has the full leaves among the children in bits 8..15; `size` must follow from mask and refs. */
 svo_result svoi_nodes_insert(svoi_nodes *n, uint32_t mask, const uint32_t *refs, uint64_t size, uint32_t *number);
 void svoi_nodes_free(svoi_nodes *n);
 /* The hash tables are not needed any more. */
