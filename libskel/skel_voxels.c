@@ -23,27 +23,38 @@ typedef struct cells {
 static inline uint32_t *codes(const cells *c) { return (uint32_t *)(void *)c->code.data; }
 static inline uint32_t *counts(const cells *c) { return (uint32_t *)(void *)c->voxels.data; }
 
-static bool add_voxel(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
+/* `voxels` finest voxels in the cell with this code, which comes after all others or is the last one. */
+static bool add_to_cell(cells *c, uint32_t code, uint32_t voxels)
 {
-    cells *c = user;
-    (void)index;
-    uint32_t code = (uint32_t)svo_morton_encode(x >> c->shift, y >> c->shift, z >> c->shift); /* at most 30 bits */
-    if (++c->total > MAX_VOXELS) {
-        c->too_many = true;
-        return false;
-    }
-    if (c->count > 0 && codes(c)[c->count - 1] == code && counts(c)[c->count - 1] < UINT32_MAX) {
-        counts(c)[c->count - 1]++;
+    if (c->count > 0 && codes(c)[c->count - 1] == code && counts(c)[c->count - 1] <= UINT32_MAX - voxels) {
+        counts(c)[c->count - 1] += voxels;
         return true;
     }
-    uint32_t one = 1;
     if (c->count == MAX_CELLS) {
         c->too_many = true;
         return false;
     }
-    c->failed = svo_buffer_append(&c->code, &code, 4) == NULL || svo_buffer_append(&c->voxels, &one, 4) == NULL;
+    c->failed = svo_buffer_append(&c->code, &code, 4) == NULL || svo_buffer_append(&c->voxels, &voxels, 4) == NULL;
     c->count++;
     return !c->failed;
+}
+
+/* A voxel, or a full leaf of size^3 of them. */
+static bool add_value(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
+{
+    cells *c = user;
+    (void)index;
+    const uint64_t voxels = (uint64_t)size * size * size;
+    if (voxels > MAX_VOXELS || (c->total += voxels) > MAX_VOXELS) {
+        c->too_many = true;
+        return false;
+    }
+    const uint32_t first = (uint32_t)svo_morton_encode(low[0] >> c->shift, low[1] >> c->shift, low[2] >> c->shift); /* at most 30 bits */
+    const uint32_t side = size >> c->shift, cell = 1u << 3 * (c->shift < 10 ? c->shift : 10);
+    if (side <= 1) return add_to_cell(c, first, (uint32_t)(voxels < cell ? voxels : cell));
+    for (uint32_t i = 0; i < side * side * side; i++)
+        if (!add_to_cell(c, first + i, cell)) return false;
+    return true;
 }
 
 static svo_result read_cells(const svo_chunk_source *source, cells *c, svo_error *err)
@@ -58,7 +69,7 @@ static svo_result read_cells(const svo_chunk_source *source, cells *c, svo_error
         if (result != SVO_OK || !more) break;
         result = source->decode(source->user, &packed, &storage, &chunk, err);
         if (result != SVO_OK) break;
-        svo_chunk_voxels(&chunk, add_voxel, c);
+        svo_chunk_values(&chunk, add_value, c);
         if (c->too_many) result = svo_fail(err, SVO_LIMIT, "the octree has more voxels than a skeleton is built from (2^32, and 2^27 at level %u)", c->level);
         else if (c->failed) result = skeli_no_memory(err);
     }

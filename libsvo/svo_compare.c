@@ -60,8 +60,11 @@ typedef struct side {
     svo_chunk chunk;
     bool more;
     uint64_t voxels;
-    uint32_t *codes; /* of the chunk's voxels, below its root */
-    uint64_t capacity;
+    uint64_t chunk_voxels;
+    bool fresh;      /* nothing of the chunk has been compared */
+    uint64_t *begin; /* Morton codes of the first voxel of each value of the chunk, and of the one behind its last */
+    uint64_t *end;
+    uint64_t capacity, count, at; /* values: room, listed (0: not yet), compared */
 } side;
 
 typedef struct comparer {
@@ -81,8 +84,10 @@ static svo_result next_chunk(comparer *c, side *s, svo_error *err)
     SVO_TRY(s->source->decode(s->source->user, &s->packed, &s->storage, &s->chunk, err));
     svo_tree_counts counts = {0};
     SVO_TRY(svo_chunk_check(s->info, &s->chunk, &counts, err));
-    if (counts.full_leaves != 0) return svo_fail(err, SVO_UNSUPPORTED, "full leaves of solid octrees cannot be compared");
-    s->voxels += s->chunk.value_count;
+    s->chunk_voxels = counts.nodes[s->info->depth];
+    s->voxels += s->chunk_voxels;
+    s->fresh = true;
+    s->count = s->at = 0;
     uint64_t total = c->a.voxels + c->b.voxels;
     if (c->options->max_voxels != 0 && total > c->options->max_voxels)
         return svo_fail(err, SVO_LIMIT, "more than %llu voxels to compare", (unsigned long long)c->options->max_voxels);
@@ -91,37 +96,29 @@ static svo_result next_chunk(comparer *c, side *s, svo_error *err)
     return SVO_OK;
 }
 
-/* Morton codes of a chunk's voxels relative to its root, 21 bits, ascending. */
-static svo_result list_codes(side *s, const svo_allocator *a, svo_error *err)
+static bool list_value(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
 {
-    const svo_chunk *k = &s->chunk;
-    if (s->capacity < k->value_count) {
-        svo_free(a, s->codes, s->capacity, sizeof *s->codes);
+    side *s = user;
+    s->begin[index] = svo_morton_encode(low[0], low[1], low[2]);
+    s->end[index] = s->begin[index] + (uint64_t)size * size * size;
+    return true;
+}
+
+/* The runs of voxels that the chunk's values stand for, ascending. */
+static svo_result list_values(side *s, const svo_allocator *a, svo_error *err)
+{
+    uint64_t n = s->chunk.value_count;
+    if (s->count != 0) return SVO_OK;
+    if (s->capacity < n) {
+        svo_free(a, s->begin, 2 * s->capacity, sizeof *s->begin);
         s->capacity = 0;
-        s->codes = svo_alloc(a, k->value_count, sizeof *s->codes);
-        if (s->codes == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-        s->capacity = k->value_count;
+        s->begin = svo_alloc(a, 2 * n, sizeof *s->begin);
+        if (s->begin == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+        s->capacity = n;
     }
-    uint32_t levels = k->depth - k->level, l = 0, code[SVO_CHUNK_LEVELS + 1] = {0};
-    uint8_t left[SVO_CHUNK_LEVELS + 1];
-    uint64_t n = 0;
-    if (levels == 0) {
-        s->codes[0] = 0;
-        return SVO_OK;
-    }
-    for (uint64_t i = 0; i < k->node_count; i++) { /* l: level of this node, code[l]: its code */
-        uint8_t mask = k->masks[i];
-        if (l + 1 == levels) {
-            for (uint32_t m = mask; m != 0; m &= m - 1) s->codes[n++] = code[l] << 3 | (uint32_t)__builtin_ctz(m);
-            while (l > 0 && left[l - 1] == 0) l--;
-            if (l == 0) break;
-        } else {
-            left[l++] = mask;
-        }
-        uint32_t octant = (uint32_t)__builtin_ctz(left[l - 1]);
-        left[l - 1] &= (uint8_t)(left[l - 1] - 1);
-        code[l] = code[l - 1] << 3 | octant;
-    }
+    s->end = s->begin + s->capacity;
+    svo_chunk_values(&s->chunk, list_value, s);
+    s->count = n;
     return SVO_OK;
 }
 
@@ -131,7 +128,8 @@ static const uint8_t *value_of(const side *s, uint32_t channel, uint64_t index, 
     return ch->constant ? ch->value : s->chunk.channels[channel] + index * stride;
 }
 
-static void compare_voxel(comparer *c, uint64_t ia, uint64_t ib, uint64_t code)
+/* `voxels` of them from `code` on. */
+static void compare_values(comparer *c, uint64_t ia, uint64_t ib, uint64_t code, uint64_t voxels)
 {
     for (uint32_t i = 0; i < c->out->channel_count; i++) {
         svo_compare_channel *ch = &c->out->channels[i];
@@ -140,9 +138,9 @@ static void compare_voxel(comparer *c, uint64_t ia, uint64_t ib, uint64_t code)
         const uint8_t *va = value_of(&c->a, c->pair_a[i], ia, stride), *vb = value_of(&c->b, c->pair_b[i], ib, stride);
         if (memcmp(va, vb, stride) == 0) continue;
         double e = value_error(&c->lab, ch->kind, va, vb);
-        c->sum[i] += e;
+        c->sum[i] += e * (double)voxels;
         if (ch->different == 0 || e > ch->max) ch->max = e, ch->worst = code;
-        ch->different++;
+        ch->different += voxels;
     }
 }
 
@@ -156,41 +154,56 @@ static void only_one(comparer *c, bool in_a, uint64_t code, uint64_t count)
     c->out->first_in_a = in_a;
 }
 
-static svo_result compare_chunks(comparer *c, svo_error *err)
+/* Are two chunks the same, bit for bit? */
+static bool same_chunks(const comparer *c)
 {
-    side *a = &c->a, *b = &c->b;
+    const side *a = &c->a, *b = &c->b;
     const svo_chunk *ka = &a->chunk, *kb = &b->chunk;
-    uint64_t high = ka->code << (3 * (ka->depth - ka->level));
-    bool same_shape = ka->node_count == kb->node_count && (ka->node_count == 0 || memcmp(ka->masks, kb->masks, ka->node_count) == 0);
-    bool same_values = same_shape;
-    for (uint32_t i = 0; same_values && i < c->out->channel_count; i++) {
+    bool same = ka->code == kb->code && ka->level == kb->level && ka->node_count == kb->node_count && ka->value_count == kb->value_count &&
+                (ka->node_count == 0 || memcmp(ka->masks, kb->masks, ka->node_count) == 0);
+    for (uint32_t i = 0; same && i < c->out->channel_count; i++) {
         if (!c->out->channels[i].comparable) continue;
         uint32_t stride = svo_channel_stride(c->out->channels[i].kind);
         const svo_channel *ca = &a->info->channels[c->pair_a[i]], *cb = &b->info->channels[c->pair_b[i]];
-        if (ca->constant && cb->constant) same_values = memcmp(ca->value, cb->value, stride) == 0;
-        else if (ca->constant || cb->constant) same_values = false;
-        else same_values = memcmp(ka->channels[c->pair_a[i]], kb->channels[c->pair_b[i]], ka->value_count * stride) == 0;
+        if (ca->constant && cb->constant) same = memcmp(ca->value, cb->value, stride) == 0;
+        else if (ca->constant || cb->constant) same = false;
+        else same = memcmp(ka->channels[c->pair_a[i]], kb->channels[c->pair_b[i]], ka->value_count * stride) == 0;
     }
-    if (same_values) {
-        c->out->both += ka->value_count;
-        return SVO_OK;
-    }
-    SVO_TRY(list_codes(a, c->options->allocator, err));
-    SVO_TRY(list_codes(b, c->options->allocator, err));
-    uint64_t i = 0, j = 0;
-    while (i < ka->value_count || j < kb->value_count) {
-        if (j == kb->value_count || (i < ka->value_count && a->codes[i] < b->codes[j])) {
-            only_one(c, true, high | a->codes[i], 1);
-            i++;
-        } else if (i == ka->value_count || b->codes[j] < a->codes[i]) {
-            only_one(c, false, high | b->codes[j], 1);
-            j++;
+    return same;
+}
+
+/* One step along both streams: runs of voxels that only one has, or that both have with one value each. */
+static svo_result compare_runs(comparer *c, svo_error *err)
+{
+    side *a = &c->a, *b = &c->b;
+    SVO_TRY(list_values(a, c->options->allocator, err));
+    SVO_TRY(list_values(b, c->options->allocator, err));
+    a->fresh = b->fresh = false;
+    while (a->at < a->count && b->at < b->count) {
+        uint64_t *from_a = &a->begin[a->at], *from_b = &b->begin[b->at], end_a = a->end[a->at], end_b = b->end[b->at];
+        if (*from_a != *from_b) {
+            bool first_a = *from_a < *from_b;
+            uint64_t *from = first_a ? from_a : from_b, end = first_a ? end_a : end_b, other = first_a ? *from_b : *from_a;
+            if (end > other) end = other;
+            only_one(c, first_a, *from, end - *from);
+            *from = end;
         } else {
-            c->out->both++;
-            compare_voxel(c, i, j, high | a->codes[i]);
-            i++, j++;
+            uint64_t end = end_a < end_b ? end_a : end_b, n = end - *from_a;
+            c->out->both += n;
+            compare_values(c, a->at, b->at, *from_a, n);
+            *from_a = *from_b = end;
         }
+        a->at += *from_a == end_a;
+        b->at += *from_b == end_b;
     }
+    return SVO_OK;
+}
+
+/* All that is left of a chunk is in one octree only. */
+static svo_result only_rest(comparer *c, side *s, svo_error *err)
+{
+    SVO_TRY(list_values(s, c->options->allocator, err));
+    for (; s->at < s->count; s->at++) only_one(c, s == &c->a, s->begin[s->at], s->end[s->at] - s->begin[s->at]);
     return SVO_OK;
 }
 
@@ -201,18 +214,26 @@ static svo_result compare_streams(comparer *c, svo_error *err)
     SVO_TRY(next_chunk(c, b, err));
     while (a->more || b->more) {
         bool comparable = c->out->same_depth;
-        bool take_a = a->more && (!b->more || a->chunk.code <= b->chunk.code);
-        bool take_b = b->more && (!a->more || b->chunk.code <= a->chunk.code);
-        if (comparable && take_a && take_b) {
-            SVO_TRY(compare_chunks(c, err));
-        } else if (comparable) {
-            side *s = take_a ? a : b;
-            SVO_TRY(list_codes(s, c->options->allocator, err));
-            uint64_t high = s->chunk.code << (3 * (s->chunk.depth - s->chunk.level));
-            only_one(c, take_a, high | s->codes[0], s->chunk.value_count);
+        if (!comparable) {
+            if (a->more) SVO_TRY(next_chunk(c, a, err));
+            if (b->more) SVO_TRY(next_chunk(c, b, err));
+        } else if (a->more && b->more && a->fresh && b->fresh && same_chunks(c)) {
+            c->out->both += a->chunk_voxels;
+            SVO_TRY(next_chunk(c, a, err));
+            SVO_TRY(next_chunk(c, b, err));
+        } else if (!b->more || (a->more && svo_chunk_end(&a->chunk) <= svo_chunk_first(&b->chunk))) {
+            SVO_TRY(only_rest(c, a, err));
+            SVO_TRY(next_chunk(c, a, err));
+        } else if (!a->more || svo_chunk_end(&b->chunk) <= svo_chunk_first(&a->chunk)) {
+            SVO_TRY(only_rest(c, b, err));
+            SVO_TRY(next_chunk(c, b, err));
+        } else {
+            SVO_TRY(compare_runs(c, err));
+            /* one of them has come to its end; so has the other where they cover the same */
+            bool end_a = a->at == a->count, end_b = b->at == b->count;
+            if (end_a) SVO_TRY(next_chunk(c, a, err));
+            if (end_b) SVO_TRY(next_chunk(c, b, err));
         }
-        if (take_a) SVO_TRY(next_chunk(c, a, err));
-        if (take_b) SVO_TRY(next_chunk(c, b, err));
     }
     return SVO_OK;
 }
@@ -280,7 +301,7 @@ svo_result svo_compare_trees(const svo_tree_info *a, const svo_chunk_source *sou
     for (int i = 0; i < 2; i++) {
         svo_buffer_free(&sides[i]->packed);
         svo_buffer_free(&sides[i]->storage);
-        svo_free(options->allocator, sides[i]->codes, sides[i]->capacity, sizeof *sides[i]->codes);
+        svo_free(options->allocator, sides[i]->begin, 2 * sides[i]->capacity, sizeof *sides[i]->begin);
     }
     svo_free(options->allocator, c, 1, sizeof *c);
     if (r == SVO_OK) *out = result;

@@ -132,7 +132,8 @@ TEST(each_rule)
         {C4("NODE"), 0, 3, "DAG"},              /* 2 words an offset */
         {C4("NODE"), 4, 1, "DAG-03"},
         {C4("NODE"), 8, 1, "DAG-07"},
-        {C4("NODE"), 16 + 1, 1, "DAG-04"},             /* unused bit of a mask */
+        {C4("NODE"), 16 + 2, 1, "DAG-04"},             /* unused bit of a mask */
+        {C4("NODE"), 16 + 1, 255, "DAG-0"},            /* full leaves in place of references */
         {C4("NODE"), 16 + 4, 1, "DAG-05"},             /* first reference */
         {C4("NODE"), 16 + 4 + 4 * (uint64_t)k, 1, "DAG-06"}, /* first offset */
         {C4("ADIR"), 0, 1, "DAG-09"},

@@ -134,11 +134,11 @@ TEST(each_rule_is_proved)
         WITH(nodes[2], v->nodes[2] + 1, "DAG-07");
         WITH(nodes[7], 1, "DAG-07");
         WITH(brick_count, v->brick_count - 1, "DAG-05");
-        WITH(brick_count, 0, "DAG-04");
+        WITH(brick_count, 0, "DAG-05");
         WITH(levels[1].word_count, v->levels[1].word_count - 1, "DAG-03");
         WITH(levels[1].node_count, v->levels[1].node_count - 1, "DAG-07");
         WITH(levels[2].offset_words, 3, "DAG-03");
-        WITH(levels[3].word_count, 0, "DAG-03");
+        WITH(levels[3].word_count, 0, "DAG-07");
         /* every word of every level: refused, or (a reference to another subtree of the same size) as sound a tree */
         uint64_t accepted = 0, tried = 0;
         for (uint32_t l = 0; l < v->brick_level; l++) {
