@@ -22,9 +22,45 @@ static inline void texel(const svo_pyramid *p, uint32_t level, uint32_t x, uint3
     out[3] = alpha;
 }
 
+/* The same for even sizes, where each texel has four whole ones below it: in integers of the level's 16 bits, or of the table of the image. */
+static bool halved(svo_pyramid *p, uint32_t to)
+{
+    const uint32_t from = to - 1, w = p->width[from], h = p->height[from];
+    if (w != 2 * p->width[to] || h != 2 * p->height[to]) return false;
+    uint16_t *out = p->texels[to];
+    for (uint32_t y = 0; y < p->height[to]; y++)
+        for (uint32_t x = 0; x < p->width[to]; x++, out += 4) {
+            const uint64_t at = 2 * ((uint64_t)y * w + x), corner[4] = {at, at + 1, at + w, at + w + 1};
+            if (from != 0) {
+                for (int k = 0; k < 4; k++) {
+                    uint32_t sum = 2;
+                    for (int c = 0; c < 4; c++) sum += p->texels[from][4 * corner[c] + (uint64_t)k];
+                    out[k] = (uint16_t)(sum >> 2);
+                }
+            } else {
+                float sum[4] = {0, 0, 0, 0};
+                for (int c = 0; c < 4; c++) {
+                    float t[4];
+                    texel(p, 0, 2 * x + (uint32_t)(c & 1), 2 * y + (uint32_t)(c >> 1), t);
+                    for (int k = 0; k < 4; k++) sum[k] += t[k];
+                }
+                for (int k = 0; k < 4; k++) out[k] = (uint16_t)(sum[k] * (65535 / 4.0f) + 0.5f);
+            }
+            if (p->most[to] == NULL) continue;
+            uint8_t most = 0;
+            for (int c = 0; c < 4; c++) {
+                uint8_t alpha = from == 0 ? p->image->pixels[4 * corner[c] + 3] : p->most[from][corner[c]];
+                if (alpha > most) most = alpha;
+            }
+            p->most[to][(uint64_t)y * p->width[to] + x] = most;
+        }
+    return true;
+}
+
 /* One level from the one above it: box filter with exact overlaps. Texel i of m covers [i n / m, (i + 1) n / m) of n. */
 static void average_level(svo_pyramid *p, uint32_t to)
 {
+    if (halved(p, to)) return;
     uint32_t from = to - 1, n[2] = {p->width[from], p->height[from]}, m[2] = {p->width[to], p->height[to]};
     for (uint32_t y = 0; y < m[1]; y++)
         for (uint32_t x = 0; x < m[0]; x++) {
@@ -112,21 +148,51 @@ static inline uint32_t wrap(double i, uint32_t n, svo_wrap mode)
 /* Texture coordinates that are absurdly large have no fraction bits left; keep their arithmetic in range. */
 static inline double sane(double t) { return t > -1e9 && t < 1e9 ? t : 0; }
 
+typedef float texel4 __attribute__((vector_size(16)));
+typedef uint16_t stored4 __attribute__((vector_size(8)));
+typedef int32_t whole4 __attribute__((vector_size(16)));
+
+static inline void texel_vector(const svo_pyramid *p, uint32_t level, uint32_t x, uint32_t y, texel4 *out)
+{
+    if (level != 0) { /* not yet divided by 65535 */
+        stored4 t;
+        memcpy(&t, p->texels[level] + 4 * ((uint64_t)y * p->width[level] + x), sizeof t);
+        *out = __builtin_convertvector(__builtin_convertvector(t, whole4), texel4);
+        return;
+    }
+    if (p->kind == SVO_TEXEL_COLOR) {
+        const uint8_t *c = p->image->pixels + 4 * ((uint64_t)y * p->width[0] + x);
+        *out = (texel4){p->linear[c[0]], p->linear[c[1]], p->linear[c[2]], 1};
+        return;
+    }
+    float t[4];
+    texel(p, 0, x, y, t);
+    memcpy(out, t, sizeof t);
+}
+
 static void bilinear(const svo_pyramid *p, const svo_texture *how, uint32_t level, double u, double v, float out[4])
 {
-    double x = u * p->width[level] - 0.5, y = v * p->height[level] - 0.5;
+    const uint32_t w = p->width[level], h = p->height[level];
+    double x = u * w - 0.5, y = v * h - 0.5;
     double fx = floor(x), fy = floor(y);
-    uint32_t x0 = wrap(fx, p->width[level], how->wrap_u), x1 = wrap(fx + 1, p->width[level], how->wrap_u);
-    uint32_t y0 = wrap(fy, p->height[level], how->wrap_v), y1 = wrap(fy + 1, p->height[level], how->wrap_v);
-    float a[4], b[4], c[4], d[4], s = (float)(x - fx), t = (float)(y - fy);
-    texel(p, level, x0, y0, a);
-    texel(p, level, x1, y0, b);
-    texel(p, level, x0, y1, c);
-    texel(p, level, x1, y1, d);
-    for (int i = 0; i < 4; i++) {
-        float top = a[i] + (b[i] - a[i]) * s, bottom = c[i] + (d[i] - c[i]) * s;
-        out[i] = top + (bottom - top) * t;
+    uint32_t x0, x1, y0, y1;
+    if (fx >= 0 && fx + 1 < w && fy >= 0 && fy + 1 < h) {
+        x0 = (uint32_t)(int32_t)fx, x1 = x0 + 1, y0 = (uint32_t)(int32_t)fy, y1 = y0 + 1;
+    } else {
+        x0 = wrap(fx, w, how->wrap_u), x1 = wrap(fx + 1, w, how->wrap_u);
+        y0 = wrap(fy, h, how->wrap_v), y1 = wrap(fy + 1, h, how->wrap_v);
     }
+    texel4 a, b, c, d;
+    const float s = (float)(x - fx), t = (float)(y - fy);
+    texel_vector(p, level, x0, y0, &a);
+    texel_vector(p, level, x1, y0, &b);
+    texel_vector(p, level, x0, y1, &c);
+    texel_vector(p, level, x1, y1, &d);
+    a += (b - a) * s;
+    c += (d - c) * s;
+    a += (c - a) * t;
+    if (level != 0) a *= 1.0f / 65535;
+    memcpy(out, &a, sizeof a);
 }
 
 void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, double v, double level, float out[4])
