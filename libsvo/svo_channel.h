@@ -23,7 +23,7 @@ typedef enum svo_channel_kind {
 /* Bytes of one value; 0 for a number that is no kind. */
 uint32_t svo_channel_stride(uint32_t kind);
 
-/* Names are those of --attributes: color, normal, emissive, metallic, roughness, material, bone. A constant channel
+/* Names are those of --attributes: color, normal, emissive, metallic, roughness, material, coverage, bone. A constant channel
  * has the same value in every voxel, which is stored here once and nowhere else. */
 typedef struct svo_channel {
     char name[16]; /* NUL-padded, [a-z0-9_]+ */

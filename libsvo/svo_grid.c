@@ -83,7 +83,8 @@ static uint8_t unorm8(float v) { return v > 0 ? v < 1 ? (uint8_t)(v * 255 + 0.5f
 static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool any, svo_tree_info *info, svo_error *err)
 {
     const svo_mesh *mesh = p->mesh;
-    uses color = {0}, emissive = {0}, metallic = {0}, roughness = {0}, material = {0};
+    uses color = {0}, emissive = {0}, metallic = {0}, roughness = {0}, material = {0}, coverage = {0};
+    bool blends = false;
     for (uint64_t g = 0; any && g < p->group_count; g++) {
         const svo_part *part = p->groups[g].part;
         bool named = part->material < mesh->material_count;
@@ -97,6 +98,11 @@ static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool an
         use(&metallic, &m.metallic, 1, mr && m.metallic > 0);
         use(&roughness, &m.roughness, 1, mr && m.roughness > 0);
         use(&material, &id, 1, false);
+        const bool alpha = m.alpha_mode != SVO_ALPHA_OPAQUE;
+        const float covers = !alpha ? 1 : m.base_color[3] > 0 ? m.base_color[3] < 1 ? m.base_color[3] : 1 : 0;
+        const bool seen_through = textured(mesh, &m.base_color_texture) && mesh->images[m.base_color_texture.image].has_alpha;
+        use(&coverage, &covers, 1, alpha && (seen_through || textured(mesh, &m.opacity_texture) || part->colors != NULL));
+        blends |= m.alpha_mode == SVO_ALPHA_BLEND;
         if (named && part->material >= UINT16_MAX && wanted & SVO_WANT_MATERIAL)
             return svo_fail(err, SVO_LIMIT, "the material channel holds at most %u materials", UINT16_MAX);
     }
@@ -128,6 +134,12 @@ static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool an
         c->constant = !material.varies;
         uint32_t id = material.value[0] >= 0 && material.first_seen ? (uint32_t)material.value[0] : UINT16_MAX;
         if (c->constant) c->value[0] = (uint8_t)id, c->value[1] = (uint8_t)(id >> 8);
+    }
+    if (!coverage.first_seen) coverage.value[0] = 1;
+    if (wanted & SVO_WANT_COVERAGE || (automatic && blends && (coverage.varies || coverage.value[0] < 1))) {
+        svo_channel *c = add_channel(info, "coverage", SVO_KIND_UNORM8);
+        c->constant = !coverage.varies;
+        if (c->constant) c->value[0] = unorm8(coverage.value[0]);
     }
     return SVO_OK;
 }

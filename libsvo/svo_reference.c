@@ -104,7 +104,7 @@ static void add_point(const measure *m, const surface *s, const double b[3], dou
     sums->area += share;
     sums->color_weight += share * alpha;
     for (int i = 0; i < 3; i++) sums->color[i] += share * alpha * clamp01(color[i]);
-    sums->coverage += share * (mat->alpha_mode == SVO_ALPHA_MASK ? alpha >= (double)mat->alpha_cutoff : alpha);
+    sums->coverage += share * alpha;
     svo_vec3 n = svo_add(svo_add(svo_scale(s->normal[0], b[0]), svo_scale(s->normal[1], b[1])), svo_scale(s->normal[2], b[2]));
     double length = svo_length(n);
     if (!(length > 1e-9)) n = s->face, length = 1;
@@ -264,7 +264,7 @@ svo_result svoi_reference_measure(const svo_placement *p, const svo_grid *g, con
     for (uint32_t c = 0; c < info->channel_count; c++) {
         const char *name = info->channels[c].name;
         if (info->channels[c].constant) continue;
-        m.color |= strcmp(name, "color") == 0;
+        m.color |= strcmp(name, "color") == 0 || strcmp(name, "coverage") == 0;
         m.emissive |= strcmp(name, "emissive") == 0;
         m.surface |= strcmp(name, "metallic") == 0 || strcmp(name, "roughness") == 0;
     }

@@ -19,13 +19,15 @@ static svo_shade_layout make_layout(const svo_tree_info *info)
 {
     svo_shade_layout l = {.color = find_channel(info, "color"), .normal = find_channel(info, "normal"),
                           .emissive = find_channel(info, "emissive"), .metallic = find_channel(info, "metallic"),
-                          .roughness = find_channel(info, "roughness"), .material = find_channel(info, "material")};
+                          .roughness = find_channel(info, "roughness"), .material = find_channel(info, "material"),
+                          .coverage = find_channel(info, "coverage")};
     l.sum_weight = l.fields++;
     if (l.color < SVO_MAX_CHANNELS) l.sum_color = l.fields, l.fields += 4;   /* weight, r, g, b */
     if (l.normal < SVO_MAX_CHANNELS) l.sum_normal = l.fields, l.fields += 4; /* x, y, z, largest contribution */
     if (l.emissive < SVO_MAX_CHANNELS) l.sum_emissive = l.fields, l.fields += 3;
     if (l.metallic < SVO_MAX_CHANNELS) l.sum_metallic = l.fields++;
     if (l.roughness < SVO_MAX_CHANNELS) l.sum_roughness = l.fields++;
+    if (l.coverage < SVO_MAX_CHANNELS) l.sum_coverage = l.fields++;
     return l;
 }
 
@@ -74,12 +76,12 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
         r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for %u materials", mesh->material_count);
     if (r == SVO_OK) {
         const svo_shade_layout *l = &s->layout;
-        bool color = l->color < SVO_MAX_CHANNELS;
+        bool color = l->color < SVO_MAX_CHANNELS, coverage = l->coverage < SVO_MAX_CHANNELS;
         for (uint32_t i = 0; i <= mesh->material_count; i++) {
             shade_material *m = &s->materials[i];
             m->m = i < mesh->material_count ? mesh->materials[i] : svo_material_default();
             m->alpha_matters = m->m.alpha_mode != SVO_ALPHA_OPAQUE;
-            bool alpha = m->m.alpha_mode == SVO_ALPHA_MASK || (color && m->alpha_matters);
+            bool alpha = m->m.alpha_mode == SVO_ALPHA_MASK || ((color || coverage) && m->alpha_matters);
             if (color || alpha) m->base = want(s, wanted, &m->m.base_color_texture, m->alpha_matters ? SVO_TEXEL_COLOR_ALPHA : SVO_TEXEL_COLOR);
             if (alpha) m->opacity = want(s, wanted, &m->m.opacity_texture, SVO_TEXEL_LINEAR);
             if (l->emissive < SVO_MAX_CHANNELS) m->emissive = want(s, wanted, &m->m.emissive_texture, SVO_TEXEL_COLOR);
@@ -139,7 +141,7 @@ static bool is_flat(const svo_shader *s, const svo_part *part, uint64_t local, b
     const shade_material *m = svoi_material_of(s, part->material);
     const svo_shade_layout *l = &s->layout;
     if (m->base != NULL || m->opacity != NULL || m->emissive != NULL || m->metallic_roughness != NULL) return false;
-    if (part->colors != NULL && (l->color < SVO_MAX_CHANNELS || masks)) return false;
+    if (part->colors != NULL && (l->color < SVO_MAX_CHANNELS || l->coverage < SVO_MAX_CHANNELS || masks)) return false;
     if (part->normals != NULL && l->normal < SVO_MAX_CHANNELS) {
         const uint32_t *index = part->indices + 3 * local;
         const float *a = part->normals + 3 * (uint64_t)index[0], *b = part->normals + 3 * (uint64_t)index[1], *c = part->normals + 3 * (uint64_t)index[2];
@@ -406,7 +408,7 @@ void svo_facet_contribution(const svo_shader *s, svo_facet *t, const svo_piece *
     svoi_barycentric(t, piece->centre, b);
     memset(out, 0, sizeof *out);
     out->alpha = 1;
-    if (l->color < SVO_MAX_CHANNELS) {
+    if (l->color < SVO_MAX_CHANNELS || l->coverage < SVO_MAX_CHANNELS) {
         double c[4] = {m->m.base_color[0], m->m.base_color[1], m->m.base_color[2], m->m.base_color[3]};
         if (t->part->colors != NULL) {
             double v[4] = {0, 0, 0, 0};
@@ -464,6 +466,7 @@ void svo_shade_add(const svo_shade_layout *l, const svo_contribution *c, uint64_
         for (int i = 0; i < 3; i++) sums[l->sum_emissive + (uint32_t)i] += c->weight * c->emissive[i];
     if (l->metallic < SVO_MAX_CHANNELS) sums[l->sum_metallic] += c->weight * c->metallic;
     if (l->roughness < SVO_MAX_CHANNELS) sums[l->sum_roughness] += c->weight * c->roughness;
+    if (l->coverage < SVO_MAX_CHANNELS) sums[l->sum_coverage] += c->weight * to16(c->alpha);
 }
 
 void svo_shade_value(const svo_shade_layout *l, const uint64_t *sums, uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE])
@@ -490,6 +493,7 @@ void svo_shade_value(const svo_shade_layout *l, const uint64_t *sums, uint8_t va
         for (uint32_t i = 0; i < 3; i++)
             values[l->emissive][i] = svo_linear_to_srgb((float)((double)sums[l->sum_emissive + i] / weight));
     if (l->metallic < SVO_MAX_CHANNELS) values[l->metallic][0] = (uint8_t)((double)sums[l->sum_metallic] / weight * 255 + 0.5);
+    if (l->coverage < SVO_MAX_CHANNELS) values[l->coverage][0] = (uint8_t)((double)sums[l->sum_coverage] / weight * 255 + 0.5);
     if (l->roughness < SVO_MAX_CHANNELS) values[l->roughness][0] = (uint8_t)((double)sums[l->sum_roughness] / weight * 255 + 0.5);
 }
 

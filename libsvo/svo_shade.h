@@ -16,9 +16,9 @@ extern "C" {
 
 /* Which channels an info asks for, where in it (SVO_MAX_CHANNELS: not there or constant), and where their sums are. */
 typedef struct svo_shade_layout {
-    uint32_t color, normal, emissive, metallic, roughness, material; /* channel numbers */
+    uint32_t color, normal, emissive, metallic, roughness, material, coverage; /* channel numbers */
     uint32_t fields; /* 64-bit sums a voxel */
-    uint32_t sum_weight, sum_color, sum_normal, sum_emissive, sum_metallic, sum_roughness;
+    uint32_t sum_weight, sum_color, sum_normal, sum_emissive, sum_metallic, sum_roughness, sum_coverage;
 } svo_shade_layout;
 
 /* Shared by all workers, read-only after creation. */

@@ -263,7 +263,9 @@ void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l)
         for (uint32_t i = 0; i < n; i++) l->clip.xx[i] = l->clip.xy[i] = l->clip.yy[i] = 0;
     }
     find_barycentric(t, l);
-    if (layout->color < SVO_MAX_CHANNELS) find_colors(m, t, l);
+    const bool covers = layout->coverage < SVO_MAX_CHANNELS;
+    if (layout->color < SVO_MAX_CHANNELS || (covers && m->alpha_matters)) find_colors(m, t, l);
+    for (uint32_t i = 0; covers && i < n; i++) l->coverage[i] = m->alpha_matters ? l->color[3][i] : 1;
     if (layout->normal < SVO_MAX_CHANNELS) find_normals(t, l);
     if (layout->emissive < SVO_MAX_CHANNELS) {
         float texel[4][SVOI_LANES];
@@ -351,6 +353,10 @@ void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint
         quantize(l->metallic, n, l->integer[0]);
         for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_metallic] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
     }
+    if (layout->coverage < SVO_MAX_CHANNELS) {
+        quantize(l->coverage, n, l->integer[0]);
+        for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_coverage] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
+    }
     if (layout->roughness < SVO_MAX_CHANNELS) {
         quantize(l->roughness, n, l->integer[0]);
         for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_roughness] += (uint64_t)weight[i] * (uint64_t)l->integer[0][i];
@@ -379,6 +385,7 @@ void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution 
         for (uint32_t k = 0; layout->emissive < SVO_MAX_CHANNELS && k < 3; k++) v[layout->sum_emissive + k] += w * c->emissive[k];
         if (layout->metallic < SVO_MAX_CHANNELS) v[layout->sum_metallic] += w * c->metallic;
         if (layout->roughness < SVO_MAX_CHANNELS) v[layout->sum_roughness] += w * c->roughness;
+        if (layout->coverage < SVO_MAX_CHANNELS) v[layout->sum_coverage] += w * (uint64_t)(c->alpha * 65535 + 0.5);
     }
 }
 
@@ -428,6 +435,7 @@ static void write_all(const svo_shade_layout *layout, svoi_lanes *l, const uint3
     if (layout->normal < SVO_MAX_CHANNELS) write_normals(l, index, count, channels[layout->normal]);
     if (layout->emissive < SVO_MAX_CHANNELS) write_colors(l->emissive, index, count, channels[layout->emissive]);
     if (layout->metallic < SVO_MAX_CHANNELS) write_bytes(l->metallic, index, count, channels[layout->metallic]);
+    if (layout->coverage < SVO_MAX_CHANNELS) write_bytes(l->coverage, index, count, channels[layout->coverage]);
     if (layout->roughness < SVO_MAX_CHANNELS) write_bytes(l->roughness, index, count, channels[layout->roughness]);
 }
 
@@ -444,9 +452,9 @@ void svoi_lanes_write_flat(const svo_shade_layout *layout, const svo_contributio
     svo_contribution_weigh(&own, 1 << 24);
     svo_shade_add(layout, &own, sums);
     svo_shade_value(layout, sums, v);
-    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[2] = {layout->metallic, layout->roughness};
-    for (int n = 0; n < 2; n++) {
-        if (colors[n] < SVO_MAX_CHANNELS)
+    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[3] = {layout->metallic, layout->roughness, layout->coverage};
+    for (int n = 0; n < 3; n++) {
+        if (n < 2 && colors[n] < SVO_MAX_CHANNELS)
             for (uint32_t i = 0; i < l->count; i++) memcpy(channels[colors[n]] + 3 * (uint64_t)l->target[i], v[colors[n]], 3);
         if (bytes[n] < SVO_MAX_CHANNELS)
             for (uint32_t i = 0; i < l->count; i++) channels[bytes[n]][l->target[i]] = v[bytes[n]][0];
@@ -481,6 +489,7 @@ void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *l, const uint64
         for (uint32_t k = 0; layout->emissive < SVO_MAX_CHANNELS && k < 3; k++)
             l->emissive[k][i] = (float)((double)(int64_t)v[layout->sum_emissive + k] * inverse);
         if (layout->metallic < SVO_MAX_CHANNELS) l->metallic[i] = (float)((double)(int64_t)v[layout->sum_metallic] * inverse);
+        if (layout->coverage < SVO_MAX_CHANNELS) l->coverage[i] = (float)((double)(int64_t)v[layout->sum_coverage] * inverse);
         if (layout->roughness < SVO_MAX_CHANNELS) l->roughness[i] = (float)((double)(int64_t)v[layout->sum_roughness] * inverse);
     }
     for (uint32_t i = count; layout->normal < SVO_MAX_CHANNELS && i < rounded(count); i++)

@@ -55,7 +55,7 @@ static uint32_t taps_for(double width, uint32_t most)
  * right for every image that varies at most quadratically over it. The level follows from the short axis. */
 void svoi_read_texture(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, const svo_piece *piece, float out[4])
 {
-    enum { MOST = 16 };
+    enum { MOST = 128 };
     const svo_facet_texture *f = svoi_facet_texture(t, slot, how, p);
     double at[2], width = 1.0 / p->width[0], height = 1.0 / p->height[0];
     texel_at(t, f, piece->centre, t->clips, at);

@@ -13,8 +13,8 @@ extern "C" {
 /* Channels that can be asked for, as bits. */
 enum {
     SVO_WANT_COLOR = 1, SVO_WANT_NORMAL = 2, SVO_WANT_EMISSIVE = 4, SVO_WANT_METALLIC = 8, SVO_WANT_ROUGHNESS = 16,
-    SVO_WANT_MATERIAL = 32,
-    SVO_WANT_AUTO = 1 << 30 /* normal, and every other channel but material in which the mesh says something */
+    SVO_WANT_MATERIAL = 32, SVO_WANT_COVERAGE = 64,
+    SVO_WANT_AUTO = 1 << 30 /* normal, and every other channel but material in which the mesh says something; coverage for BLEND alone */
 };
 
 typedef struct svo_voxelize_options {

@@ -14,7 +14,7 @@ typedef struct svoi_lanes {
     uint32_t target[SVOI_LANES]; /* number among the voxels that are averaged now, or among all */
     svoi_clip_batch clip;
     float b[3][SVOI_LANES];      /* barycentric coordinates of the centroids */
-    float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES]; /* 0..1; normals unit */
+    float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES], coverage[SVOI_LANES]; /* 0..1; normals unit */
     double at[2][SVOI_LANES];    /* texel coordinates, while a texture is read */
     int32_t integer[3][SVOI_LANES];
 } svoi_lanes;

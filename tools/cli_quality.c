@@ -58,7 +58,8 @@ int cli_take_channels(cli *c, const char *list, uint32_t *channels)
 {
     static const struct { const char *name; uint32_t bit; } names[] = {
         {"color", SVO_WANT_COLOR}, {"normal", SVO_WANT_NORMAL}, {"emissive", SVO_WANT_EMISSIVE},
-        {"metallic", SVO_WANT_METALLIC}, {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL}};
+        {"metallic", SVO_WANT_METALLIC}, {"roughness", SVO_WANT_ROUGHNESS}, {"material", SVO_WANT_MATERIAL},
+        {"coverage", SVO_WANT_COVERAGE}};
     *channels = strcmp(list, "auto") == 0 ? SVO_WANT_AUTO : 0;
     if (*channels != 0 || strcmp(list, "none") == 0) return -1;
     for (const char *at = list;; at++) {

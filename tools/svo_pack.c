@@ -180,7 +180,7 @@ int main(int argc, char **argv)
         {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-300, .max = 1e300, .seen = &o.has_size,
          .no_default = true, .help = "Largest edge of a voxel in scene units, in place of --depth.", .group = "Meshes"},
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
-         .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material.", .group = "Meshes"},
+         .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material,coverage.", .group = "Meshes"},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
         {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "KIND", .help = "Voxels inside.", .group = "Meshes"},
         {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "lossless|BITS|deltaE=X|mean=X|psnr=X",

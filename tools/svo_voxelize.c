@@ -367,7 +367,7 @@ int main(int argc, char **argv)
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "HOW",
          .help = "conservative: every voxel that the surface touches; thin: those whose centre lines it crosses."},
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
-         .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material."},
+         .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material,coverage."},
         {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level of the file (zstd)."},
         {.name = "reference", .kind = CLI_U64, .value = &o.reference, .argument = "N", .max = 1000000,
          .help = "With --report: voxels whose attributes are compared with 4096 samples each of the surface inside them."},

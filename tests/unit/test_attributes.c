@@ -433,3 +433,159 @@ TEST(points_have_the_values_of_the_surface)
     svo_placement_free(&p);
     sheet_free(&s);
 }
+
+/* A square at height y of [0,1]^2 with corners' texture coordinates at (0,0) and (u,v), material 0, and one image. */
+static void square_make(sheet *s, double y, float u, float v, uint32_t width, uint32_t height)
+{
+    double at[18] = {0, y, 0, 1, y, 0, 1, y, 1, 0, y, 0, 1, y, 1, 0, y, 1};
+    float uv[12] = {0, 0, u, 0, u, v, 0, 0, u, v, 0, v};
+    memset(s, 0, sizeof *s);
+    loose_make(&s->m, at, 2);
+    s->m.part.uvs[0] = malloc(sizeof uv);
+    memcpy(s->m.part.uvs[0], uv, sizeof uv);
+    for (int i = 0; i < 2; i++) s->materials[i] = svo_material_default();
+    s->m.part.material = 0;
+    s->m.mesh.materials = s->materials;
+    s->m.mesh.material_count = 2;
+    s->m.mesh.images = s->images;
+    s->m.mesh.image_count = 1;
+    s->images[0] = (svo_image){.width = width, .height = height, .pixels = calloc((size_t)width * height, 4)};
+    s->materials[0].base_color_texture.image = 0;
+}
+static void paint(sheet *s, uint32_t x, uint32_t y, uint8_t grey, uint8_t alpha)
+{
+    uint8_t *p = s->images[0].pixels + 4 * ((size_t)y * s->images[0].width + x);
+    p[0] = p[1] = p[2] = grey;
+    p[3] = alpha;
+    if (alpha < 255) s->images[0].has_alpha = true;
+}
+
+TEST(stretched_coordinates_keep_detail_along_the_short_axis)
+{
+    /* 512 texels across one voxel along x, 16 along the other axis: white noise along x, bands 16 texels wide along the other. Voxels of a band are
+     * its grey, whatever is averaged along x; blurring across would mix bands. */
+    const uint32_t depth = 4, n = 1u << depth;
+    sheet s;
+    square_make(&s, 0.03, 1, 1, 8192, 16 * n);
+    uint64_t seed = 11;
+    for (uint32_t y = 0; y < 16 * n; y++)
+        for (uint32_t x = 0; x < 8192; x++) paint(&s, x, y, y / 16 % 2 ? 200 : (uint8_t)(test_random(&seed) & 1), 255);
+    svo_voxelize_options o = at_depth(depth, SVO_WANT_COLOR);
+    voxel_set v;
+    svo_error err;
+    CHECK_OK(voxel_run(&s.m.mesh, &o, true, &v, &err));
+    double worst = 0;
+    for (uint64_t i = 0; i < v.count; i++) {
+        uint32_t x, y, z;
+        svo_morton_decode(v.codes[i], &x, &y, &z);
+        double share = (double)svo_srgb_to_linear(v.values[0][3 * i]) / (double)svo_srgb_to_linear(200);
+        worst = fmax(worst, z % 2 ? 1 - share : share);
+    }
+    /* A filter with the variance of the voxel's 16 texels, box or not, has most of its weight there; one level coarser, a third would be its neighbours'. */
+    printf("        stretched 1:32: at most %.3f of the light comes from the neighbours\n", worst);
+    CHECK(worst < 0.15);
+    voxel_free(&v);
+    sheet_free(&s);
+}
+
+TEST(minified_checks_are_grey)
+{
+    /* checks of one texel, 8 to 200 a voxel, also at sizes that are no powers of two: half the light everywhere */
+    for (uint32_t texels = 128; texels <= 3200; texels = texels * 5 / 2 + 2) {
+        sheet s;
+        square_make(&s, 0.03, 1, 1, texels, texels);
+        for (uint32_t y = 0; y < texels; y++)
+            for (uint32_t x = 0; x < texels; x++) paint(&s, x, y, (x ^ y) & 1 ? 255 : 0, 255);
+        svo_voxelize_options o = at_depth(4, SVO_WANT_COLOR);
+        voxel_set v;
+        svo_error err;
+        CHECK_OK(voxel_run(&s.m.mesh, &o, true, &v, &err));
+        const uint8_t g = svo_linear_to_srgb(0.5f), grey[3] = {g, g, g};
+        double worst = 0;
+        for (uint64_t i = 0; i < v.count; i++) worst = fmax(worst, delta(grey, v.values[0] + 3 * i));
+        CHECK_MSG(worst < 2, "%u texels: %f from grey", texels, worst);
+        voxel_free(&v);
+        sheet_free(&s);
+    }
+}
+
+TEST(coverage_is_the_mean_of_alpha)
+{
+    /* alpha 0 on the left quarter, 64 on the second, 255 on the right half; 64 texels a voxel at depth 2 */
+    for (int mode = 0; mode < 3; mode++) {
+        sheet s;
+        square_make(&s, 0.03, 1, 1, 256, 256);
+        s.materials[0].base_color_texture.wrap_u = s.materials[0].base_color_texture.wrap_v = SVO_WRAP_CLAMP;
+        for (uint32_t y = 0; y < 256; y++)
+            for (uint32_t x = 0; x < 256; x++) paint(&s, x, y, 255, x < 64 ? 0 : x < 128 ? 64 : 255);
+        s.materials[0].alpha_mode = (svo_alpha_mode)mode;
+        svo_voxelize_options o = at_depth(2, SVO_WANT_AUTO | SVO_WANT_COVERAGE);
+        voxel_set v;
+        svo_error err;
+        CHECK_OK(voxel_run(&s.m.mesh, &o, true, &v, &err));
+        uint32_t c = v.info.channel_count - 1;
+        CHECK(strcmp(v.info.channels[c].name, "coverage") == 0);
+        CHECK(v.info.channels[c].constant == (mode == SVO_ALPHA_OPAQUE));
+        CHECK_U64(v.count, mode == SVO_ALPHA_MASK ? 12 : 16); /* masked: at its right end the second quarter reaches a half; BLEND keeps all */
+        for (uint64_t i = 0; i < v.count && mode != SVO_ALPHA_OPAQUE; i++) {
+            uint32_t x, y, z, expected[4] = {0, 64, 255, 255};
+            svo_morton_decode(v.codes[i], &x, &y, &z);
+            CHECK_MSG(abs((int)v.values[c][i] - (int)expected[x]) <= 6, "column %u: %u", x, v.values[c][i]);
+        }
+        if (mode == SVO_ALPHA_OPAQUE) CHECK_U64(v.info.channels[c].value[0], 255);
+        o.channels = SVO_WANT_AUTO;
+        svo_tree_info info;
+        CHECK_OK(svo_voxelize_plan(&s.m.mesh, &o, &info, &err));
+        bool has = false;
+        for (uint32_t i = 0; i < info.channel_count; i++) has |= strcmp(info.channels[i].name, "coverage") == 0;
+        CHECK(has == (mode == SVO_ALPHA_BLEND));
+        voxel_free(&v);
+        sheet_free(&s);
+    }
+}
+
+TEST(coverage_of_an_even_pane_is_constant)
+{
+    sheet s;
+    square_make(&s, 0.03, 1, 1, 1, 1);
+    s.materials[0].base_color_texture.image = SVO_NONE;
+    s.materials[0].alpha_mode = SVO_ALPHA_BLEND;
+    s.materials[0].base_color[3] = 0.2f;
+    svo_voxelize_options o = at_depth(4, SVO_WANT_AUTO);
+    svo_tree_info info;
+    svo_error err;
+    CHECK_OK(svo_voxelize_plan(&s.m.mesh, &o, &info, &err));
+    uint32_t c = info.channel_count - 1;
+    CHECK(strcmp(info.channels[c].name, "coverage") == 0 && info.channels[c].constant && info.channels[c].value[0] == 51);
+    sheet_free(&s);
+}
+
+TEST(coordinates_that_mean_nothing_do_no_harm)
+{
+    const float bad[] = {NAN, INFINITY, -INFINITY, 1e30f, -3e38f, 1e-42f, 4e9f};
+    for (size_t k = 0; k < sizeof bad / sizeof *bad; k++)
+        for (int mode = 0; mode < 3; mode++) {
+            sheet s;
+            square_make(&s, 0.03, 1, 1, 5, 3);
+            for (uint32_t i = 0; i < 15; i++) paint(&s, i % 5, i / 5, (uint8_t)(17 * i), (uint8_t)(255 - 10 * i));
+            for (int i = 0; i < 12; i += mode + 1) s.m.part.uvs[0][i] = bad[k];
+            s.m.part.normals = calloc(18, sizeof(float)); /* of zero length, and one that is not a number */
+            s.m.part.normals[4] = NAN;
+            s.materials[0].alpha_mode = (svo_alpha_mode)mode;
+            s.materials[0].alpha_cutoff = 0;
+            svo_voxelize_options o = at_depth(5, SVO_WANT_AUTO);
+            voxel_set v;
+            svo_error err;
+            CHECK_OK(voxel_run(&s.m.mesh, &o, true, &v, &err));
+            CHECK_U64(v.count, 1024);
+            for (uint64_t i = 0; i < v.count; i++)
+                for (uint32_t c = 0; c < v.info.channel_count; c++)
+                    if (v.info.channels[c].kind == SVO_KIND_NORMAL_OCT32) {
+                        float n[3];
+                        svo_oct32_decode(v.values[c] + 4 * i, n);
+                        CHECK(fabsf(n[1]) > 0.99f); /* the face's */
+                    }
+            voxel_free(&v);
+            sheet_free(&s);
+        }
+}
