@@ -110,7 +110,7 @@ svo_view_node svo_view_best_child(const svo_view *v, uint32_t level, svo_view_no
 static inline svo_view_node svo_view_root(const svo_view *v)
 {
     if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_root(v);
-    svo_view_node n = {.at = v->root};
+    svo_view_node n = {v->root, 0, 0, false, 0};
     return n;
 }
 
@@ -139,7 +139,7 @@ static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, sv
     const uint32_t *w = l->words + node.at;
     uint32_t mask = w[0] & 0xffu, full = w[0] >> 8, stored = mask & ~full, below = (1u << octant) - 1;
     uint32_t r = (uint32_t)__builtin_popcount(stored), slot = (uint32_t)__builtin_popcount(mask & below);
-    svo_view_node child = {.attribute = node.attribute, .full = (full >> octant & 1) != 0};
+    svo_view_node child = {0, node.attribute, 0, (full >> octant & 1) != 0, 0};
     if (!child.full) child.at = w[1 + (uint32_t)__builtin_popcount(stored & below)];
     if (l->offset_words == 0) return child;
     if (slot == 0) child.attribute += v->lod ? 1 : 0;
