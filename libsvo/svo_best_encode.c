@@ -5,7 +5,6 @@
 #include "svoi_best_encode.h"
 
 enum {
-    DEFAULT_CLASSES = 24,
     MOST_PAIRS = 1 << 22, /* of bricks that are looked at to find classes */
 };
 
@@ -654,12 +653,12 @@ void svoi_best_parts_free(svoi_best_parts *p)
     svo_buffer_free(&p->dictionary);
 }
 
-svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats)
+svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, uint32_t classes, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats)
 {
-    SVO_ASSERT(d->brick_level >= 1);
+    SVO_ASSERT(d->brick_level >= 1 && classes >= 3 && classes <= SVOI_CLASSES);
     encoder *e = svo_calloc(a, 1, sizeof *e);
     if (e == NULL) return SVO_OUT_OF_MEMORY;
-    *e = (encoder){.a = a, .d = d, .block_level = d->brick_level - 1, .classes = DEFAULT_CLASSES, .numbered = numbered};
+    *e = (encoder){.a = a, .d = d, .block_level = d->brick_level - 1, .classes = classes, .numbered = numbered};
     svoi_corners_make(&e->corners);
     e->contexts = svoi_contexts_make(e->classes, e->corners.count);
     svo_buffer_init(&out->stream, a);
@@ -682,7 +681,7 @@ svo_result svoi_layout_best(svo_packed *p, svoi_nodes *levels, svoi_bricks *bric
     svo_result r = svoi_symdag_make(&d, levels, bricks, v->brick_level, v->root, v->lod, mirrors ? SVOI_MIRRORS : SVOI_ALL, threads, a);
     svoi_best_parts parts;
     if (r == SVO_OK) {
-        r = svoi_best_encode(&d, !v->unnumbered, a, &parts, NULL);
+        r = svoi_best_encode(&d, !v->unnumbered, SVOI_BEST_CLASSES, a, &parts, NULL);
         v->root = d.root_turn;
         svoi_symdag_free(&d);
     }

@@ -25,8 +25,9 @@ typedef struct svoi_best_parts {
 } svoi_best_parts;
 void svoi_best_parts_free(svoi_best_parts *p);
 
-/* Needs brick_level >= 1. `numbered`: attributes are indexed, sizes of subtrees are written. stats may be NULL.
+/* Needs brick_level >= 1. `classes`: 3 (all bricks in one class) .. SVOI_CLASSES. `numbered`: attributes are indexed, sizes of subtrees are written. stats may be NULL.
  * SVO_OUT_OF_MEMORY without a message. */
-svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats);
+enum { SVOI_BEST_CLASSES = 24 };
+svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, uint32_t classes, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats);
 
 #endif

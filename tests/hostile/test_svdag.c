@@ -47,7 +47,7 @@ static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, co
     return SVO_OK;
 }
 
-static void run(uint32_t depth, uint32_t style, bool lod, uint32_t rounds)
+static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry, uint32_t rounds)
 {
     uint64_t seed = 200 + depth;
     tree t;
@@ -58,7 +58,7 @@ static void run(uint32_t depth, uint32_t style, bool lod, uint32_t rounds)
         for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= c == 0 || i / stride % 1500 < 700 ? 3 : 0x3f;
     }
     svo_error err = {0};
-    svo_dag_options o = {.lod = lod, .threads = 1};
+    svo_dag_options o = {.lod = lod, .geometry = geometry, .threads = 1};
     svo_dag_builder *b;
     svo_packed *p;
     CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
@@ -77,12 +77,16 @@ static void run(uint32_t depth, uint32_t style, bool lod, uint32_t rounds)
     svo_buffer_free(&file);
 }
 
-TEST(damaged_single_voxel) { run(0, 2, true, 0); }
-TEST(damaged_brick) { run(2, 0, true, 0); }
-TEST(damaged_without_channels) { run(6, 0, true, 0); }
-TEST(damaged_without_lod) { run(8, 2, false, 0); }
-TEST(damaged_corners_of_a_deep_tree) { run(21, 2, true, 0); }
-TEST(damaged_clusters_with_all_channels) { run(8, 1, true, 600); }
+TEST(damaged_single_voxel) { run(0, 2, true, SVO_GEOMETRY_SVDAG, 0); }
+TEST(damaged_brick) { run(2, 0, true, SVO_GEOMETRY_SVDAG, 0); }
+TEST(damaged_without_channels) { run(6, 0, true, SVO_GEOMETRY_SVDAG, 0); }
+TEST(damaged_without_lod) { run(8, 2, false, SVO_GEOMETRY_SVDAG, 0); }
+TEST(damaged_corners_of_a_deep_tree) { run(21, 2, true, SVO_GEOMETRY_SVDAG, 0); }
+TEST(damaged_clusters_with_all_channels) { run(8, 1, true, SVO_GEOMETRY_SVDAG, 600); }
+TEST(damaged_layout_3_without_channels) { run(6, 0, true, SVO_GEOMETRY_BEST, 0); }
+TEST(damaged_layout_3_of_one_block) { run(3, 2, true, SVO_GEOMETRY_SYMMETRIC, 0); }
+TEST(damaged_layout_3_of_a_deep_tree) { run(21, 2, true, SVO_GEOMETRY_BEST, 0); }
+TEST(damaged_layout_3_without_lod) { run(7, 1, false, SVO_GEOMETRY_BEST, 300); }
 
 /* A field of a payload changed and the hashes made right again: each rule has its own message. */
 typedef struct edit { uint32_t type; uint64_t offset; uint8_t mask; const char *rule; } edit;
@@ -159,4 +163,57 @@ TEST(each_rule)
         hostile_free(&h);
     }
     svo_buffer_free(&file);
+}
+
+/* Any bit of layout 3's chunks changed, the hashes right: refused, or read soundly. */
+TEST(every_bit_of_layout_3)
+{
+    uint64_t seed = 400;
+    tree t;
+    tree_random(&t, 5, 0, &seed);
+    svo_error err = {0};
+    svo_dag_options o = {.lod = true, .geometry = SVO_GEOMETRY_BEST, .threads = 1};
+    svo_dag_builder *b;
+    svo_packed *p;
+    CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
+    CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
+    CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+    CHECK(svo_packed_view(p)->layout == SVO_LAYOUT_BEST);
+    svo_buffer file;
+    svo_buffer_init(&file, NULL);
+    fmt_output *out;
+    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+    CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), NULL, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    svo_packed_free(p);
+    tree_free(&t);
+    static const struct { uint32_t type; uint32_t step; } chunks[] = {{C4("LVLS"), 1}, {C4("CODE"), 5}, {C4("TREE"), 1}, {C4("BRCK"), 7}};
+    uint32_t refused[4] = {0}, tried[4] = {0};
+    for (int kind = 0; kind < 4; kind++) {
+        for (uint64_t bit = 0;; bit += chunks[kind].step) {
+            hostile_file h;
+            hostile_parse(file.data, file.size, &h);
+            hostile_chunk *c = hostile_find(&h, chunks[kind].type);
+            CHECK(c != NULL);
+            bool end = bit >= 8 * c->payload.size;
+            if (!end) {
+                c->payload.data[bit / 8] ^= (uint8_t)(1 << bit % 8);
+                hostile_touch(c);
+                svo_buffer bad;
+                svo_buffer_init(&bad, NULL);
+                hostile_build(&h, &bad);
+                tried[kind]++;
+                svo_result r = read_svdag(NULL, bad.data, bad.size, NULL, &err);
+                refused[kind] += r != SVO_OK;
+                CHECK_MSG(r == SVO_OK || (r == SVO_INVALID_DATA && strstr(err.message, "DAG-") != NULL), "bit %llu of chunk %d: %s: %s",
+                          (unsigned long long)bit, kind, svo_result_name(r), err.message);
+                svo_buffer_free(&bad);
+            }
+            hostile_free(&h);
+            if (end || test_failed()) break;
+        }
+    }
+    svo_buffer_free(&file);
+    /* tiers that no reference uses are free; a brick changed is another octree unless its number of voxels tells */
+    CHECK(2 * refused[0] > tried[0] && 2 * refused[1] > tried[1] && 2 * refused[2] > tried[2] && (tried[3] == 0 || refused[3] > 0));
 }

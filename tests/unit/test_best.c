@@ -129,3 +129,158 @@ TEST(random_trees_read_the_same)
         tree_free(&t);
     }
 }
+
+/* --- extreme cases ----------------------------------------------------------------------------------------------- */
+
+static int compare_codes(const void *a, const void *b)
+{
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return (x > y) - (x < y);
+}
+
+/* A tree of these voxels, a random colour each. */
+static tree tree_of(uint32_t depth, const uint64_t *codes, uint64_t count, uint64_t seed)
+{
+    tree t = {.info = {.depth = depth, .channel_count = 1}};
+    for (int i = 0; i < 4; i++) t.info.voxel_to_world[5 * i] = 1;
+    strcpy(t.info.channels[0].name, "color");
+    t.info.channels[0].kind = SVO_KIND_COLOR_SRGB8;
+    t.codes = malloc(count * sizeof *codes);
+    t.values[0] = malloc(count * 3);
+    memcpy(t.codes, codes, count * sizeof *codes);
+    qsort(t.codes, count, sizeof *codes, compare_codes);
+    for (uint64_t i = 0; i < count; i++)
+        if (t.count == 0 || t.codes[t.count - 1] != t.codes[i]) t.codes[t.count++] = t.codes[i];
+    for (uint64_t i = 0; i < 3 * t.count; i++) t.values[0][i] = (uint8_t)test_random(&seed);
+    return t;
+}
+
+static uint64_t turned(uint32_t g, uint32_t levels, uint64_t code)
+{
+    static const uint32_t axes[6][3] = {{0, 1, 2}, {0, 2, 1}, {1, 0, 2}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}};
+    uint32_t in[3], out[3], n = 1u << levels;
+    svo_morton_decode(code, &in[0], &in[1], &in[2]);
+    for (uint32_t k = 0; k < 3; k++) out[axes[g >> 3][k]] = in[k];
+    for (uint32_t k = 0; k < 3; k++)
+        if (g >> k & 1) out[k] = n - 1 - out[k];
+    return svo_morton_encode(out[0], out[1], out[2]);
+}
+
+enum { MOST = 1 << 18 };
+static uint64_t code_of[MOST];
+
+TEST(turned_copies_are_one)
+{
+    uint64_t seed = 11, pattern[200], n = 0;
+    for (int i = 0; i < 200; i++) pattern[i] = test_random(&seed) & 0x3ffff; /* 64^3 */
+    for (uint32_t g = 0; g < 48; g++)
+        for (int i = 0; i < 200; i++) code_of[n++] = (uint64_t)g << 18 | turned(g, 6, pattern[i]);
+    tree t = tree_of(8, code_of, n, 12);
+    compare(&t, true);
+    svo_packed *p = build(&t, SVO_GEOMETRY_BEST, true, 1), *mirrors = build(&t, SVO_GEOMETRY_SYMMETRIC, true, 1), *plain = build(&t, SVO_GEOMETRY_SVDAG, true, 1);
+    CHECK(p != NULL && mirrors != NULL && plain != NULL);
+    CHECK_U64(svo_view_stored(svo_packed_view(p), 2), 1);
+    CHECK_U64(svo_view_stored(svo_packed_view(mirrors), 2), 6);
+    CHECK_U64(svo_view_stored(svo_packed_view(plain), 2), 48);
+    same_node(svo_packed_view(plain), svo_packed_view(mirrors), 0, svo_view_root(svo_packed_view(plain)), svo_view_root(svo_packed_view(mirrors)));
+    svo_packed_free(p);
+    svo_packed_free(mirrors);
+    svo_packed_free(plain);
+    tree_free(&t);
+}
+
+TEST(a_full_block)
+{
+    uint64_t seed = 13;
+    for (uint32_t depth = 3; depth <= 5; depth++) {
+        tree t;
+        tree_full(&t, depth, &seed);
+        compare(&t, depth & 1);
+        svo_packed *p = build(&t, SVO_GEOMETRY_BEST, true, 1);
+        CHECK(p != NULL);
+        for (uint32_t l = 0; l + 2 < depth; l++) CHECK_U64(svo_view_stored(svo_packed_view(p), l), 1);
+        svo_packed_free(p);
+        tree_free(&t);
+    }
+}
+
+TEST(a_checkerboard)
+{
+    uint64_t n = 0;
+    for (uint64_t c = 0; c < 1 << 18; c++) {
+        uint32_t x, y, z;
+        svo_morton_decode(c, &x, &y, &z);
+        if (((x + y + z) & 1) == 0) code_of[n++] = c;
+    }
+    tree t = tree_of(6, code_of, n, 14);
+    compare(&t, true);
+    tree_free(&t);
+}
+
+TEST(voxels_that_share_nothing)
+{
+    uint64_t seed = 15, n = 0;
+    while (n < 60000) code_of[n++] = test_random(&seed) & (((uint64_t)1 << 24) - 1);
+    tree t = tree_of(8, code_of, n, 16);
+    compare(&t, false);
+    tree_free(&t);
+}
+
+TEST(one_voxel_at_every_depth)
+{
+    uint64_t seed = 17;
+    for (uint32_t depth = 0; depth <= 21; depth++) {
+        uint64_t code = test_random(&seed) & (((uint64_t)1 << 3 * depth) - 1);
+        tree t = tree_of(depth, &code, 1, 18);
+        compare(&t, depth & 1);
+        tree_free(&t);
+    }
+}
+
+/* The same 8^3 block in every second place of 64^3 of them: one entry, many references. */
+TEST(a_subtree_shared_very_often)
+{
+    uint64_t n = 0;
+    for (uint64_t c = 0; c < 1 << 18; c += 2) code_of[n++] = c << 9 | 0x155;
+    tree t = tree_of(9, code_of, n, 19);
+    compare(&t, true);
+    svo_packed *p = build(&t, SVO_GEOMETRY_BEST, true, 1);
+    CHECK(p != NULL);
+    for (uint32_t l = 0; l <= 6; l++) CHECK_U64(svo_view_stored(svo_packed_view(p), l), 1);
+    svo_packed_free(p);
+    tree_free(&t);
+}
+
+TEST(threads_and_memory)
+{
+    uint64_t seed = 20;
+    tree t;
+    tree_random(&t, 6, 0, &seed);
+    svo_packed *one = build(&t, SVO_GEOMETRY_BEST, true, 1), *four = build(&t, SVO_GEOMETRY_BEST, true, 4);
+    CHECK(one != NULL && four != NULL);
+    CHECK(svo_view_compare_geometry(svo_packed_view(one), svo_packed_view(four)) == 0);
+    svo_packed_free(one);
+    svo_packed_free(four);
+    /* every allocation in turn fails: a clear error, nothing left behind */
+    for (uint64_t fail = 1;; fail++) {
+        svo_error err = {0};
+        svo_limit_allocator a;
+        svo_limit_allocator_init(&a, UINT64_MAX, NULL);
+        a.fail_at = fail;
+        svo_dag_options o = svo_default_dag_options();
+        o.geometry = SVO_GEOMETRY_BEST, o.threads = 1, o.allocator = &a.base;
+        svo_dag_builder *b;
+        svo_packed *p = NULL;
+        svo_result r = svo_dag_builder_create(&t.info, &o, &b, &err);
+        if (r == SVO_OK) {
+            r = tree_feed(&t, 1, svo_dag_builder_sink(b), &err);
+            if (r == SVO_OK) r = svo_dag_builder_finish(b, &p, NULL, &err);
+            else svo_dag_builder_free(b);
+        }
+        if (r == SVO_OK) svo_packed_free(p);
+        CHECK_U64(svo_limit_in_use(&a), 0);
+        if (r == SVO_OK) break;
+        CHECK(r == SVO_OUT_OF_MEMORY && err.message[0] != 0);
+    }
+    tree_free(&t);
+}
