@@ -226,6 +226,8 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         return bad(&c, "DAG-02", 0, 0, "depth or number of channels out of range");
     svo_result r = SVO_OK;
     if (v->layout != SVO_LAYOUT_PLAIN && v->layout != SVO_LAYOUT_BEST) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
+    if (v->layout == SVO_LAYOUT_BEST && !v->empty && v->best == NULL)
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "svo_view_prepare comes before svo_view_validate");
     for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
         if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) return bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered");
     if (v->empty) {
