@@ -31,8 +31,8 @@ typedef struct links {
 static bool links_make(const svo_allocator *a, links *l, const svoi_brick_pair *pair, uint64_t pairs, uint64_t bricks, bool next)
 {
     l->first = svo_calloc(a, bricks + 3, sizeof *l->first);
-    l->other = svo_alloc(a, pairs, sizeof *l->other);
-    l->count = pairs;
+    l->other = svo_alloc(a, pairs + 1, sizeof *l->other);
+    l->count = pairs + 1;
     if (l->first == NULL || l->other == NULL) return false;
     for (uint64_t i = 0; i < pairs; i++) l->first[(next ? pair[i].before : pair[i].brick) + 2]++;
     for (uint64_t i = 2; i < bricks + 3; i++) l->first[i] += l->first[i - 1];
@@ -62,7 +62,7 @@ static int compare_keyed(const void *a, const void *b)
 static bool first_guess(const svo_allocator *a, const svoi_symlevel *bricks, uint32_t classes, uint8_t *class_of)
 {
     uint64_t n = 0, uses = 0, before = 0;
-    keyed *k = svo_alloc(a, bricks->count, sizeof *k);
+    keyed *k = svo_alloc(a, bricks->count + 1, sizeof *k);
     if (k == NULL) return false;
     for (uint32_t i = 0; i < bricks->count; i++) {
         if (class_of[i] == classes - 1) continue;
@@ -76,7 +76,7 @@ static bool first_guess(const svo_allocator *a, const svoi_symlevel *bricks, uin
         class_of[k[i].brick] = (uint8_t)c;
         before += bricks->uses[k[i].brick];
     }
-    svo_free(a, k, bricks->count, sizeof *k);
+    svo_free(a, k, bricks->count + 1, sizeof *k);
     return true;
 }
 

@@ -306,7 +306,7 @@ static int compare_u64(const void *a, const void *b)
 static bool make_dictionary(encoder *e)
 {
     const svoi_symlevel *bricks = &e->d->level[e->d->brick_level];
-    uint64_t *key = svo_alloc(e->a, bricks->count, sizeof *key), n = 0;
+    uint64_t *key = svo_alloc(e->a, bricks->count + 1, sizeof *key), n = 0;
     if (key == NULL) return false;
     memset(e->class_count, 0, sizeof e->class_count);
     for (uint32_t i = 0; i < bricks->count; i++) {
@@ -326,7 +326,7 @@ static bool make_dictionary(encoder *e)
         e->dictionary[e->class_first[c] + e->id[brick]] = brick;
     }
     e->dictionary_count = n;
-    svo_free(e->a, key, bricks->count, sizeof *key);
+    svo_free(e->a, key, bricks->count + 1, sizeof *key);
     return true;
 }
 
@@ -557,13 +557,13 @@ static bool encoder_alloc(encoder *e)
     const svo_allocator *a = e->a;
     bool ok = true;
     for (uint32_t l = 0; l <= e->block_level; l++) {
-        uint64_t n = e->d->level[l].count;
+        uint64_t n = e->d->level[l].count + 1; /* a level may be empty: all above are full leaves */
         e->frame[l] = svo_calloc(a, n, 1);
         e->bits[l] = svo_alloc(a, n, sizeof **e->bits);
         e->place[l] = svo_alloc(a, n, sizeof **e->place);
         ok = ok && e->frame[l] != NULL && e->bits[l] != NULL && e->place[l] != NULL;
     }
-    uint64_t bricks = e->d->level[e->d->brick_level].count;
+    uint64_t bricks = e->d->level[e->d->brick_level].count + 1;
     e->class_of = svo_calloc(a, bricks, 1);
     e->id = svo_alloc(a, bricks, sizeof *e->id);
     e->dictionary = svo_alloc(a, bricks, sizeof *e->dictionary);
@@ -581,13 +581,13 @@ static void encoder_free(encoder *e)
 {
     const svo_allocator *a = e->a;
     for (uint32_t l = 0; l <= e->block_level; l++) {
-        uint64_t n = e->d->level[l].count;
+        uint64_t n = e->d->level[l].count + 1;
         svo_free(a, e->frame[l], n, 1);
         svo_free(a, e->bits[l], n, sizeof **e->bits);
         svo_free(a, e->place[l], n, sizeof **e->place);
         svo_free(a, e->order[l], e->shared[l] + 1, sizeof **e->order);
     }
-    uint64_t bricks = e->d->level[e->d->brick_level].count;
+    uint64_t bricks = e->d->level[e->d->brick_level].count + 1;
     svo_free(a, e->class_of, bricks, 1);
     svo_free(a, e->id, bricks, sizeof *e->id);
     svo_free(a, e->dictionary, bricks, sizeof *e->dictionary);

@@ -383,6 +383,8 @@ static svo_result merge_level(merge *m, uint32_t threads)
     svoi_symlevel *l = &m->d->level[m->level];
     m->count = m->bricks != NULL ? m->bricks->count : m->nodes->count;
     m->next = 0;
+    *m->out = (moved){0};
+    if (m->count == 0) return SVO_OK; /* all above are full leaves */
     uint64_t slots = 64;
     while (slots * 2 < m->count * 3) slots *= 2;
     m->slot_mask = slots - 1;
