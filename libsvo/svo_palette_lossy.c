@@ -2,6 +2,7 @@
  * error; then the cheapest partition bottom-up. A range is not looked at when no kind could beat its halves. */
 #include <math.h>
 
+#include "svo_quantize.h"
 #include "svoi_lossy.h"
 
 static void *lossy_create(const svoi_encoder *e, const svo_allocator *a)
@@ -27,6 +28,7 @@ static void know_value(svoi_lossy_state *s, uint32_t id, uint32_t value)
     s->check[id] = t->squares ? svoi_point_of(t->kind, false, value) : s->point[id];
     s->check_weights[id] = t->squares ? svoi_weights_of(t->kind, false, &s->check[id]) : s->weights[id];
     s->own[id] = svoi_table_index(s->e, value);
+    if (s->own[id] == SVOI_NO_INDEX && t->kind == SVO_KIND_NORMAL_OCT32) s->own[id] = svoi_table_index(s->e, svo_quantize_normal(value, 12));
     if (s->own[id] == SVOI_NO_INDEX && t->count != 0) s->own[id] = svoi_near(t, &s->near, s->point[id].x);
     s->own_fits[id] = t->count != 0 && svoi_distance2(&s->check[id], s->check_weights[id], &t->check[s->own[id]]) <= t->bound2;
 }

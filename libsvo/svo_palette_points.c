@@ -98,8 +98,12 @@ uint32_t svoi_near(const svoi_points *t, svoi_near_cache *cache, const float p[3
 {
     uint64_t key = 1;
     svoi_point at = {{p[0], p[1], p[2], 0}}, middle = {{0, 0, 0, 0}};
+    if (t->kind == SVO_KIND_NORMAL_OCT32) { /* means lie inside the sphere; what is near is the same in their direction */
+        float l = sqrtf(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
+        for (int i = 0; i < 3 && l > 0; i++) at.x[i] = p[i] * (57.29577951f / l);
+    }
     for (int i = 0; i < 3; i++) {
-        int32_t cell = (int32_t)floorf(p[i] / t->cell);
+        int32_t cell = (int32_t)floorf(at.x[i] / t->cell);
         middle.x[i] = ((float)cell + 0.5f) * t->cell;
         key = key << 16 | (uint32_t)(cell & 0xffff);
     }
@@ -142,7 +146,7 @@ svo_result svoi_lossy_prepare(svoi_encoder *e, svo_error *err)
     t->squares = j->goal.squares && j->kind == SVO_KIND_COLOR_SRGB8;
     t->count = j->table_count;
     t->price = (float)j->goal.price;
-    t->cell = t->squares ? 2 : 1;
+    t->cell = t->squares || j->kind == SVO_KIND_NORMAL_OCT32 ? 2 : 1; /* 12-bit normals are 3 degrees apart */
     double bound = j->goal.bound * 0.999 - 5e-4;
     if (bound < 0) bound = 0;
     if (j->kind == SVO_KIND_NORMAL_OCT32) bound = 2 * sin((bound < 180 ? bound : 180) / 2 / 57.29577951308232) * 57.29577951308232;
