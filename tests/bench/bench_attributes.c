@@ -472,19 +472,20 @@ int main(int argc, char **argv)
             for (int k = 0; k < 3; k++) two_endpoints(&s, (const double[]){0.02, 0.05, 0.1}[k]);
         if (strchr(methods, 'o')) {
             static const double bounds[] = {0.5, 1, 2, 3, 5}, prices[] = {30, 10, 5, 3, 2, 1, 0.5}, squares[] = {0.3, 0.1, 0.05, 0.03, 0.02, 0.01};
+            static const uint32_t bound_bits[] = {14, 13, 12, 11, 11}, price_bits[] = {14, 13, 12, 11, 11, 11, 11}; /* as svo-compress has them */
             char setting[48];
             ours(&s, 0, 0, false, 16, false, "exact");
             for (size_t k = 0; k < sizeof bounds / sizeof *bounds; k++) {
                 snprintf(setting, sizeof setting, "deltaE=%g", bounds[k]);
-                ours(&s, bounds[k], 0.1 / bounds[k], false, 12, false, setting);
+                ours(&s, bounds[k], 0.1 / bounds[k], false, bound_bits[k], false, setting);
             }
             for (size_t k = 0; k < sizeof prices / sizeof *prices; k++) {
                 snprintf(setting, sizeof setting, "deltaE=6 %g bits a unit", prices[k]);
-                ours(&s, 6, prices[k], false, 12, false, setting);
+                ours(&s, 6, prices[k], false, price_bits[k], false, setting);
             }
             for (size_t k = 0; k < sizeof squares / sizeof *squares; k++) {
                 snprintf(setting, sizeof setting, "deltaE=8 %g bits a square", squares[k]);
-                ours(&s, 8, squares[k], true, 12, false, setting);
+                ours(&s, 8, squares[k], true, 11, false, setting);
             }
         }
         free(s.v), free(s.index), free(s.value), free(s.times);

@@ -296,6 +296,40 @@ TEST(damaged_bytes) { damage(SVO_KIND_UNORM8, (svo_palette_goal){0}, 5); }
 TEST(damaged_labels) { damage(SVO_KIND_ID16, (svo_palette_goal){0}, 6); }
 TEST(damaged_wide_labels) { damage(SVO_KIND_ID32, (svo_palette_goal){0}, 7); }
 
+/* Every colour that there is, each once, in an order that keeps neighbours near (as surfaces do) and in one that does not. */
+static void give_all(void *user, uint64_t first, uint32_t n, uint32_t *values)
+{
+    uint32_t factor = *(const uint32_t *)user;
+    for (uint32_t i = 0; i < n; i++) values[i] = ((uint32_t)first + i) * factor & 0xffffff;
+}
+
+TEST(every_color_once)
+{
+    static const uint32_t factors[] = {1, 0x9e3779b1u};
+    uint32_t table[1] = {0};
+    for (int f = 0; f < 2; f++) {
+        svo_error err = {0};
+        svo_buffer directory, payload;
+        svo_buffer_init(&directory, NULL);
+        svo_buffer_init(&payload, NULL);
+        svo_palette_job job = {.kind = SVO_KIND_COLOR_SRGB8, .count = 1 << 24, .source = give_all, .user = (void *)(uintptr_t)&factors[f],
+                               .table = table, .table_count = 1, .threads = 2};
+        CHECK_OK(svo_palette_encode(&job, &directory, &payload, NULL, &err));
+        uint8_t bytes[3] = {0, 0, 0};
+        svo_palette p = {SVO_KIND_COLOR_SRGB8, 1 << 24, bytes, 1, directory.data, directory.size / SVO_PALETTE_ENTRY, payload.data, payload.size};
+        CHECK_OK(svo_palette_check(&p, NULL, &err));
+        for (uint64_t i = 0; i < 1 << 24; i += 97) {
+            uint32_t want;
+            give_all((void *)(uintptr_t)&factors[f], i, 1, &want);
+            CHECK_U64(svo_palette_value(&p, i), want);
+        }
+        /* 3 bytes a value are never much exceeded, and not reached where neighbours are near */
+        CHECK(directory.size + payload.size < (f == 0 ? 3u << 24 : 28u << 21));
+        svo_buffer_free(&directory);
+        svo_buffer_free(&payload);
+    }
+}
+
 /* YCoCg-R comes back for every colour of a coarse grid and every colour beside its planes. */
 TEST(lattices_of_one_point_are_exact)
 {
