@@ -37,6 +37,7 @@ struct svo_dag_builder {
     uint32_t chunk_level, tree_depth, brick_level;
     svoi_bricks bricks;
     svoi_nodes nodes[SVO_MAX_DEPTH];
+    svoi_store store;
     svoi_values values[SVO_MAX_CHANNELS];
     svo_tree_counts counts;
     uint64_t attributes;
@@ -104,10 +105,12 @@ svo_result svo_dag_builder_create(const svo_tree_info *info, const svo_dag_optio
     b->chunk_level = svo_chunk_level(info->depth);
     b->tree_depth = info->depth < 2 ? 2 : info->depth;
     b->brick_level = b->tree_depth - 2;
+    b->store.spill = o.spill;
+    b->store.budget = o.value_memory != 0 ? o.value_memory : o.memory != 0 ? o.memory / 4 : (uint64_t)256 << 20;
     b->bricks.a = b->a;
     for (uint32_t i = 0; i < SVO_MAX_DEPTH; i++) b->nodes[i].a = b->a;
     for (uint32_t i = 0; i < info->channel_count; i++) {
-        b->values[i] = (svoi_values){.a = b->a, .stride = svo_channel_stride(info->channels[i].kind)};
+        b->values[i] = (svoi_values){.a = b->a, .stride = svo_channel_stride(info->channels[i].kind), .store = &b->store};
         for (uint32_t l = 0; l < SVO_MAX_DEPTH; l++) b->frames[l].labels[i].a = b->a;
     }
     svo_buffer_init(&b->map[0], b->a);
@@ -291,6 +294,12 @@ static svo_result add_child(svo_dag_builder *b, frame *f, uint32_t octant, const
     return SVO_OK;
 }
 
+static svo_result append(svo_dag_builder *b, uint32_t channel, const uint8_t *values, uint64_t count, svo_error *err)
+{
+    svo_result r = svoi_values_append(&b->values[channel], values, count, err);
+    return r == SVO_OUT_OF_MEMORY ? svoi_no_memory(b->packed, "attributes", err) : r;
+}
+
 static svo_result open_frame(svo_dag_builder *b, uint32_t level, svo_error *err)
 {
     frame *f = &b->frames[level];
@@ -300,8 +309,7 @@ static svo_result open_frame(svo_dag_builder *b, uint32_t level, svo_error *err)
     for (uint32_t i = 0; i < b->info.channel_count; i++) {
         f->sum[i] = (svoi_sum){0};
         f->labels[i].count = 0;
-        if (b->options.lod && !b->info.channels[i].constant && !svoi_values_append(&b->values[i], NULL, 1))
-            return svoi_no_memory(b->packed, "attributes", err);
+        if (b->options.lod && !b->info.channels[i].constant) SVO_TRY(append(b, i, NULL, 1, err));
     }
     if (b->options.lod) b->attributes++;
     return SVO_OK;
@@ -317,9 +325,10 @@ static svo_result close_frame(svo_dag_builder *b, uint32_t level, svo_error *err
     for (uint32_t i = 0; i < b->info.channel_count && b->options.lod; i++) {
         if (b->info.channels[i].constant) continue;
         svo_channel_kind kind = b->info.channels[i].kind;
-        uint8_t *to = svoi_values_at(&b->values[i], f->index);
-        if (svoi_is_label(kind)) svoi_labels_value(f->labels[i].label, f->labels[i].count, kind, to);
-        else svoi_sum_value(&f->sum[i], kind, to);
+        uint8_t value[4];
+        if (svoi_is_label(kind)) svoi_labels_value(f->labels[i].label, f->labels[i].count, kind, value);
+        else svoi_sum_value(&f->sum[i], kind, value);
+        SVO_TRY(svoi_values_set(&b->values[i], f->index, value, err));
     }
     if (level == 0) {
         b->root = number;
@@ -354,8 +363,7 @@ static svo_result commit_blob(svo_dag_builder *b, blob *c, svo_error *err)
     svo_counts_ancestors(&b->counts, b->chunk_level, c->level, b->has_previous, b->previous, c->code);
     svo_counts_add(&b->counts, &c->counts);
     for (uint32_t i = 0; i < b->info.channel_count; i++)
-        if (!b->info.channels[i].constant && !svoi_values_append(&b->values[i], c->values[i], c->size))
-            return svoi_no_memory(b->packed, "attributes", err);
+        if (!b->info.channels[i].constant) SVO_TRY(append(b, i, c->values[i], c->size, err));
     b->attributes += c->size;
     b->previous = c->code;
     b->end = c->end;
@@ -383,19 +391,11 @@ svo_chunk_sink svo_dag_builder_sink(svo_dag_builder *b)
 
 /* --- finish ------------------------------------------------------------------------------------------------------ */
 
-/* Does a channel have more than one value? */
-static bool varies(const svoi_values *v)
-{
-    for (uint64_t i = 1; i < v->count; i++)
-        if (memcmp(svoi_values_at(v, i), svoi_values_at(v, 0), v->stride) != 0) return true;
-    return false;
-}
-
 static void fill_view(const svo_dag_builder *b, svo_view *v)
 {
     v->layout = SVO_LAYOUT_PLAIN;
     v->unnumbered = true;
-    for (uint32_t i = 0; i < b->info.channel_count; i++) v->unnumbered = v->unnumbered && !varies(&b->values[i]);
+    for (uint32_t i = 0; i < b->info.channel_count; i++) v->unnumbered = v->unnumbered && !b->values[i].varies;
     v->depth = b->info.depth;
     v->tree_depth = b->tree_depth;
     v->brick_level = b->brick_level;

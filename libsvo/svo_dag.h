@@ -2,6 +2,7 @@
 #ifndef SVO_DAG_H
 #define SVO_DAG_H
 
+#include "svo_spill.h"
 #include "svo_view.h"
 
 #ifdef __cplusplus
@@ -29,6 +30,10 @@ typedef struct svo_dag_options {
     double normal_degrees; /* > 0: largest angle of any attribute; normal_bits must be 0 */
     uint32_t threads;      /* 0 = all */
     uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT */
+    /* Where attribute values wait that are more than `value_memory` bytes (0: a quarter of `memory`, or 256 MiB without a limit); NULL: they wait in
+     * memory. The result does not depend on it. Errors: those of the spill. */
+    const svo_spill *spill;
+    uint64_t value_memory;
     const svo_allocator *allocator;
     svo_warnings *warnings;
     /* Called when another part of the work begins: "geometry" (laying out), "attributes" (packing). May be NULL. */
@@ -39,7 +44,7 @@ svo_dag_options svo_default_dag_options(void); /* lod, lossless */
 
 typedef struct svo_dag_channel_report {
     char name[16];
-    uint64_t bytes, distinct_in, distinct_out;
+    uint64_t bytes, distinct_in, distinct_out; /* 0: 2^17 or more, not counted (colours always are) */
     double error_mean, error_max; /* delta E CIE94 for colours, degrees for normals, value units else; over all attributes */
     bool left_out;                /* turned out constant and stored once */
 } svo_dag_channel_report;

@@ -2,29 +2,68 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "svo_quantize.h"
 #include "svo_task.h"
 #include "svoi_dag.h"
 
 /* --- paged values --- */
 
-bool svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count)
+static uint64_t page_bytes(const svoi_values *v) { return (uint64_t)SVOI_PAGE * v->stride; }
+
+static void forget_page(svoi_values *v, uint64_t page)
 {
+    if (v->page[page] == NULL) return;
+    svo_free(v->a, v->page[page], SVOI_PAGE, v->stride);
+    v->page[page] = NULL;
+    if (v->store != NULL) v->store->resident -= page_bytes(v);
+}
+
+static svo_result spill_page(svoi_values *v, uint64_t page, svo_error *err)
+{
+    if (v->page[page] == NULL) return SVO_OK;
+    if (v->file.spill == NULL) SVO_TRY(svo_spill_open(v->store->spill, &v->file, err));
+    SVO_TRY(svo_spill_write(&v->file, page * page_bytes(v), v->page[page], page_bytes(v), err));
+    forget_page(v, page);
+    return SVO_OK;
+}
+
+static svo_result add_page(svoi_values *v, svo_error *err)
+{
+    if (v->page_count == v->page_capacity) {
+        uint64_t capacity = v->page_capacity + v->page_capacity / 2 + 8;
+        uint8_t **page = svo_alloc(v->a, capacity, sizeof *page);
+        if (page == NULL) return SVO_OUT_OF_MEMORY;
+        if (v->page_count != 0) memcpy(page, v->page, (size_t)v->page_count * sizeof *page);
+        svo_free(v->a, v->page, v->page_capacity, sizeof *page);
+        v->page = page;
+        v->page_capacity = capacity;
+    }
+    bool can_spill = v->store != NULL && v->store->spill != NULL;
+    if (can_spill && v->page_count != 0 && v->store->resident + page_bytes(v) > v->store->budget) SVO_TRY(spill_page(v, v->page_count - 1, err));
+    uint8_t *page = svo_alloc(v->a, SVOI_PAGE, v->stride);
+    if (page == NULL && can_spill) { /* others need memory as well: give all of it back */
+        for (uint64_t i = 0; i < v->page_count; i++) SVO_TRY(spill_page(v, i, err));
+        page = svo_alloc(v->a, SVOI_PAGE, v->stride);
+    }
+    if (page == NULL) return SVO_OUT_OF_MEMORY;
+    v->page[v->page_count++] = page;
+    if (v->store != NULL) v->store->resident += page_bytes(v);
+    return SVO_OK;
+}
+
+static void look_at(svoi_values *v, const uint8_t *values, uint64_t count)
+{
+    if (!v->any) memcpy(v->first, values, v->stride);
+    v->any = true;
+    for (uint64_t i = 0; i < count && !v->varies; i++) v->varies = memcmp(values + i * v->stride, v->first, v->stride) != 0;
+}
+
+svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count, svo_error *err)
+{
+    if (values != NULL && count != 0) look_at(v, values, count);
     while (count != 0) {
         uint64_t at = v->count & (SVOI_PAGE - 1);
-        if (at == 0) {
-            if (v->page_count == v->page_capacity) {
-                uint64_t capacity = v->page_capacity + v->page_capacity / 2 + 8;
-                uint8_t **page = svo_alloc(v->a, capacity, sizeof *page);
-                if (page == NULL) return false;
-                if (v->page_count != 0) memcpy(page, v->page, (size_t)v->page_count * sizeof *page);
-                svo_free(v->a, v->page, v->page_capacity, sizeof *page);
-                v->page = page;
-                v->page_capacity = capacity;
-            }
-            v->page[v->page_count] = svo_alloc(v->a, SVOI_PAGE, v->stride);
-            if (v->page[v->page_count] == NULL) return false;
-            v->page_count++;
-        }
+        if (at == 0) SVO_TRY(add_page(v, err));
         uint64_t n = SVOI_PAGE - at < count ? SVOI_PAGE - at : count;
         uint8_t *to = v->page[v->page_count - 1] + at * v->stride;
         if (values != NULL) {
@@ -36,14 +75,45 @@ bool svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count)
         v->count += n;
         count -= n;
     }
-    return true;
+    return SVO_OK;
+}
+
+svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value, svo_error *err)
+{
+    look_at(v, value, 1);
+    uint8_t *page = v->page[i >> SVOI_PAGE_BITS];
+    if (page == NULL) return svo_spill_write(&v->file, i * v->stride, value, v->stride, err);
+    memcpy(page + (i & (SVOI_PAGE - 1)) * v->stride, value, v->stride);
+    return SVO_OK;
+}
+
+const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n, uint8_t *buffer, svo_error *err)
+{
+    const uint8_t *page = v->page[first >> SVOI_PAGE_BITS];
+    if (page != NULL) return page + (first & (SVOI_PAGE - 1)) * v->stride;
+    return svo_spill_read(&v->file, first * v->stride, buffer, n * v->stride, err) == SVO_OK ? buffer : NULL;
+}
+
+svo_result svoi_values_put(svoi_values *v, uint64_t first, uint64_t n, const uint8_t *values, svo_error *err)
+{
+    uint8_t *page = v->page[first >> SVOI_PAGE_BITS];
+    if (page == NULL) return svo_spill_write(&v->file, first * v->stride, values, n * v->stride, err);
+    memcpy(page + (first & (SVOI_PAGE - 1)) * v->stride, values, (size_t)n * v->stride);
+    return SVO_OK;
+}
+
+void svoi_values_drop(svoi_values *v, uint64_t page)
+{
+    if (v->page[page] != NULL) forget_page(v, page);
+    else svo_spill_discard(&v->file, page * page_bytes(v), page_bytes(v));
 }
 
 void svoi_values_free(svoi_values *v)
 {
-    for (uint64_t i = 0; i < v->page_count; i++) svo_free(v->a, v->page[i], SVOI_PAGE, v->stride);
+    for (uint64_t i = 0; i < v->page_count; i++) forget_page(v, i);
     svo_free(v->a, v->page, v->page_capacity, sizeof *v->page);
-    *v = (svoi_values){.a = v->a, .stride = v->stride};
+    svo_spill_close(&v->file);
+    *v = (svoi_values){.a = v->a, .stride = v->stride, .store = v->store};
 }
 
 /* --- distinct values --- */
@@ -141,46 +211,111 @@ void svoi_distinct_free(svoi_distinct *d)
 
 /* Each worker gathers the distinct values of the pages it gets; the union of these sets is the same for any split. */
 typedef struct gather {
-    const svoi_values *values;
+    svoi_values *values;
     svoi_distinct *set;
+    uint64_t most;
+    uint32_t many; /* atomic: a set has more than `most` */
+    svoi_mapping *mapping;                     /* NULL: values as they are */
+    struct page_error { double sum, most; bool lossy; } *errors; /* of each page */
 } gather;
+
+static svo_result add_run(gather *g, svoi_distinct *d, uint32_t value, uint64_t times)
+{
+    if (__atomic_load_n(&g->many, __ATOMIC_RELAXED)) return SVO_OK;
+    if (!svoi_distinct_add(d, value, times)) return SVO_OUT_OF_MEMORY;
+    if (d->count <= g->most) return SVO_OK;
+    svoi_distinct_free(d);
+    __atomic_store_n(&g->many, 1, __ATOMIC_RELAXED);
+    return SVO_OK;
+}
+
+/* One page; `buffer` and `mapped` have room for one. */
+static svo_result gather_page(gather *g, uint64_t page, uint8_t *buffer, uint8_t *mapped, svoi_distinct *d, svo_error *err)
+{
+    uint32_t stride = g->values->stride;
+    uint64_t first = page << SVOI_PAGE_BITS, left = g->values->count - first, n = left < SVOI_PAGE ? left : SVOI_PAGE;
+    const uint8_t *p = svoi_values_get(g->values, first, n, buffer, err);
+    if (p == NULL) return SVO_IO;
+    struct page_error e = {0};
+    for (uint64_t i = 0; i < n;) {
+        uint32_t value = svoi_load_value(p + i * stride, stride), to = value;
+        uint64_t end = i + 1;
+        while (end < n && svoi_load_value(p + end * stride, stride) == value) end++;
+        if (g->mapping != NULL) {
+            to = svo_quantize_normal(value, g->mapping->bits);
+            double angle = to != value ? svo_normal_degrees(value, to) : 0;
+            e.sum += angle * (double)(end - i);
+            e.most = angle > e.most ? angle : e.most;
+            e.lossy = e.lossy || to != value;
+            for (uint64_t k = i; g->mapping->write && k < end; k++) memcpy(mapped + 4 * k, &to, 4);
+        }
+        SVO_TRY(add_run(g, d, to, end - i));
+        i = end;
+    }
+    if (g->mapping == NULL) return SVO_OK;
+    g->errors[page] = e;
+    return g->mapping->write ? svoi_values_put(g->values, first, n, mapped, err) : SVO_OK;
+}
 
 static svo_result gather_pages(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     gather *g = user;
-    svoi_distinct *d = &g->set[worker];
-    uint32_t stride = g->values->stride;
-    for (uint64_t page = begin; page < end; page++) {
-        uint64_t left = g->values->count - (page << SVOI_PAGE_BITS), n = left < SVOI_PAGE ? left : SVOI_PAGE;
-        const uint8_t *p = g->values->page[page];
-        for (uint64_t i = 0; i < n;) {
-            uint32_t value = svoi_load_value(p + i * stride, stride);
-            uint64_t run = i + 1;
-            while (run < n && svoi_load_value(p + run * stride, stride) == value) run++;
-            if (!svoi_distinct_add(d, value, run - i)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-            i = run;
-        }
-    }
-    return SVO_OK;
+    const svo_allocator *a = g->values->a;
+    size_t half = (size_t)SVOI_PAGE * g->values->stride;
+    uint8_t *buffer = svo_alloc(a, 2, half);
+    svo_result r = buffer != NULL ? SVO_OK : SVO_OUT_OF_MEMORY;
+    for (uint64_t page = begin; page < end && r == SVO_OK; page++)
+        if (g->mapping != NULL || !__atomic_load_n(&g->many, __ATOMIC_RELAXED)) r = gather_page(g, page, buffer, buffer + half, &g->set[worker], err);
+    svo_free(a, buffer, 2, half);
+    return r;
 }
 
 enum { MAX_WORKERS = 256 };
 
-svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, svoi_distinct *out)
+static svo_result gather_all(gather *g, uint32_t threads, svoi_distinct *out, svo_error *err)
 {
     if (threads == 0) threads = svo_processor_count();
     if (threads > MAX_WORKERS) threads = MAX_WORKERS;
     svoi_distinct set[MAX_WORKERS];
-    for (uint32_t i = 0; i < threads; i++) set[i] = (svoi_distinct){.a = values->a};
-    gather g = {values, set};
-    svo_result r = svo_parallel_for(threads, values->page_count, 4, gather_pages, &g, NULL);
+    for (uint32_t i = 0; i < threads; i++) set[i] = (svoi_distinct){.a = g->values->a};
+    g->set = set;
+    svo_result r = svo_parallel_for(threads, g->values->page_count, 4, gather_pages, g, err);
     for (uint32_t i = 1; i < threads; i++) {
-        for (uint64_t j = 0; j < set[i].count && r == SVO_OK; j++)
-            if (!svoi_distinct_add(&set[0], set[i].value[j], set[i].times[j])) r = SVO_OUT_OF_MEMORY;
+        for (uint64_t j = 0; j < set[i].count && r == SVO_OK; j++) r = add_run(g, &set[0], set[i].value[j], set[i].times[j]);
         svoi_distinct_free(&set[i]);
     }
-    if (r == SVO_OK && !svoi_distinct_sort(&set[0])) r = SVO_OUT_OF_MEMORY;
+    if (r == SVO_OK && g->many) svoi_distinct_free(&set[0]);
+    else if (r == SVO_OK && !svoi_distinct_sort(&set[0])) r = SVO_OUT_OF_MEMORY;
     if (r != SVO_OK) svoi_distinct_free(&set[0]);
     else *out = set[0];
+    return r;
+}
+
+svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, uint64_t most, svoi_distinct *out, bool *many, svo_error *err)
+{
+    svoi_values same = *values; /* only read */
+    gather g = {.values = &same, .most = most};
+    svo_result r = gather_all(&g, threads, out, err);
+    *many = g.many != 0;
+    return r;
+}
+
+svo_result svoi_values_map(svoi_values *values, uint32_t threads, uint64_t most, svoi_mapping *m, svoi_distinct *out, svo_error *err)
+{
+    SVO_ASSERT(values->stride == 4);
+    gather g = {.values = values, .most = most, .mapping = m, .errors = svo_calloc(values->a, values->page_count, sizeof *g.errors)};
+    if (g.errors == NULL) return SVO_OUT_OF_MEMORY;
+    svo_result r = gather_all(&g, threads, out, err);
+    m->many = g.many != 0;
+    m->lossy = false;
+    m->error_sum = m->error_max = 0;
+    uint32_t mapped = svo_quantize_normal(svoi_load_value(values->first, 4), m->bits);
+    if (m->write) memcpy(values->first, &mapped, 4);
+    for (uint64_t i = 0; i < values->page_count; i++) {
+        m->error_sum += g.errors[i].sum;
+        m->error_max = g.errors[i].most > m->error_max ? g.errors[i].most : m->error_max;
+        m->lossy = m->lossy || g.errors[i].lossy;
+    }
+    svo_free(values->a, g.errors, values->page_count, sizeof *g.errors);
     return r;
 }

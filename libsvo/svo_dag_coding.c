@@ -10,18 +10,30 @@
 
 /* A table entry costs its bytes once and widens every index; a value this rare is better held by a lattice. */
 enum { RARE = 4, SMALL_TABLE = 4096 };
+/* Beyond this many different values none are listed (but colours, of which there are at most 2^24): the list would outgrow what it describes. */
+enum { LISTED = (1 << 17) - 1, TABLE_BITS = 12 };
 
 typedef struct source {
     const svoi_values *values;
     const svoi_distinct *distinct; /* with `mapped`: */
     const uint32_t *mapped;        /* what distinct values become; NULL: themselves */
+    svo_error *err;                /* of the first read that failed */
+    bool failed;
 } source;
 
 static void give_values(void *user, uint64_t first, uint32_t n, uint32_t *out)
 {
-    const source *s = user;
+    source *s = user;
     uint32_t stride = s->values->stride, last = 0, last_mapped = 0;
-    const uint8_t *p = svoi_values_at(s->values, first); /* superblocks do not straddle pages */
+    uint8_t buffer[4 * SVO_SUPERBLOCK];
+    svo_error inner = {0};
+    SVO_ASSERT(n <= SVO_SUPERBLOCK);
+    const uint8_t *p = svoi_values_get(s->values, first, n, buffer, &inner); /* superblocks do not straddle pages */
+    if (p == NULL) {
+        if (!__atomic_exchange_n(&s->failed, true, __ATOMIC_RELAXED)) *s->err = inner;
+        memset(out, 0, n * sizeof *out);
+        return;
+    }
     for (uint32_t i = 0; i < n; i++, p += stride) {
         uint32_t value = svoi_load_value(p, stride);
         if (s->mapped != NULL) {
@@ -51,13 +63,15 @@ static svo_result pack_raw(svo_packed *p, uint32_t channel, svoi_values *values,
     if (!svo_buffer_reserve(raw, (size_t)values->count * stride)) return svoi_no_memory(p, "attributes", err);
     for (uint64_t page = 0; page < values->page_count; page++) {
         uint64_t left = values->count - (page << SVOI_PAGE_BITS), n = left < SVOI_PAGE ? left : SVOI_PAGE;
-        uint8_t *from = values->page[page];
+        const uint8_t *from = svoi_values_get(values, page << SVOI_PAGE_BITS, n, raw->data + raw->size, err);
+        if (from == NULL) return SVO_IO;
+        uint8_t *to = raw->data + raw->size; /* the same place, if it was read */
+        if (to != from) memcpy(to, from, (size_t)n * stride);
+        raw->size += (size_t)n * stride;
         if (s->mapped != NULL)
             for (uint64_t i = 0; i < n; i++)
-                svoi_store_value(from + i * stride, stride, s->mapped[svoi_distinct_index(s->distinct, svoi_load_value(from + i * stride, stride))]);
-        svo_buffer_append(raw, from, (size_t)n * stride);
-        svo_free(values->a, from, SVOI_PAGE, stride);
-        values->page[page] = NULL;
+                svoi_store_value(to + i * stride, stride, s->mapped[svoi_distinct_index(s->distinct, svoi_load_value(to + i * stride, stride))]);
+        svoi_values_drop(values, page);
     }
     p->view.channels[channel].encoding = SVO_ENCODING_RAW;
     p->view.channels[channel].raw = raw->data;
@@ -104,21 +118,34 @@ typedef struct packing {
     uint32_t channel;
     svoi_values *values;
     svoi_distinct distinct;
-    uint32_t *mapped, *table; /* room for distinct.count */
+    uint32_t *mapped, *table;
+    uint64_t room; /* of both */
     const svo_dag_options *options;
     svo_dag_channel_report *report;
 } packing;
 
-static svo_result encode(packing *k, const source *s, uint64_t table_count, svo_palette_goal goal, svo_palette_stats *stats, svo_error *err)
+static svo_result take_room(packing *k, uint64_t count, svo_error *err)
+{
+    const svo_allocator *a = &k->p->memory.base;
+    k->room = count;
+    k->mapped = svo_alloc(a, count, sizeof *k->mapped);
+    k->table = svo_alloc(a, count, sizeof *k->table);
+    return k->mapped != NULL && k->table != NULL ? SVO_OK : svoi_no_memory(k->p, "attributes", err);
+}
+
+static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palette_goal goal, svo_palette_stats *stats, svo_error *err)
 {
     svo_packed *p = k->p;
     svo_view_channel *c = &p->view.channels[k->channel];
     svo_buffer *directory = &p->directory[k->channel], *payload = &p->payload[k->channel], *table = &p->table[k->channel];
     uint32_t stride = k->values->stride;
-    svo_palette_job job = {.kind = c->channel.kind, .count = k->values->count, .source = give_values, .user = (void *)(uintptr_t)s,
+    svo_palette_job job = {.kind = c->channel.kind, .count = k->values->count, .source = give_values, .user = s,
                            .table = k->table, .table_count = table_count, .goal = goal, .threads = k->options->threads,
                            .allocator = &p->memory.base};
+    svo_error read = {0};
+    s->err = &read;
     svo_result r = svo_palette_encode(&job, directory, payload, stats, err);
+    if (s->failed) return svo_fail(err, read.code, "%s", read.message);
     if (r == SVO_OK && svo_buffer_append(table, NULL, (size_t)table_count * stride) == NULL) r = SVO_OUT_OF_MEMORY;
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "attributes", err);
     if (r != SVO_OK) return r;
@@ -162,7 +189,7 @@ static svo_result pack_exactly(packing *k, svo_error *err)
         make_constant(k->p, k->channel, k->mapped[0], k->report);
         return SVO_OK;
     }
-    source s = {k->values, d, q.lossy ? k->mapped : NULL};
+    source s = {k->values, d, q.lossy ? k->mapped : NULL, NULL, false};
     SVO_TRY(encode(k, &s, table_count, (svo_palette_goal){0}, NULL, err));
     uint64_t raw = k->values->count * k->values->stride;
     if (k->report->bytes < raw) return SVO_OK;
@@ -195,8 +222,8 @@ typedef struct sample { source of; uint64_t stride; } sample;
 
 static void give_sample(void *user, uint64_t first, uint32_t n, uint32_t *out)
 {
-    const sample *s = user;
-    give_values((void *)(uintptr_t)&s->of, first * s->stride, n, out);
+    sample *s = user;
+    give_values(&s->of, first * s->stride, n, out);
 }
 
 static double quality(const svo_palette_stats *stats, bool squares, uint64_t count)
@@ -209,7 +236,8 @@ static svo_result find_price(packing *k, svo_palette_goal *goal, double aim, uin
 {
     enum { SAMPLE = 128, STEPS = 7 };
     uint64_t superblocks = k->values->count / SVO_SUPERBLOCK, taken = superblocks < SAMPLE ? superblocks : SAMPLE;
-    sample s = {{k->values, NULL, NULL}, taken != 0 ? superblocks / taken : 1};
+    svo_error read = {0};
+    sample s = {{k->values, NULL, NULL, &read, false}, taken != 0 ? superblocks / taken : 1};
     double low = goal->squares ? 1e-4 : 0.02, high = goal->squares ? 20 : 200;
     uint64_t count = taken * SVO_SUPERBLOCK;
     goal->price = sqrt(low * high);
@@ -228,6 +256,7 @@ static svo_result find_price(packing *k, svo_palette_goal *goal, double aim, uin
         svo_result r = svo_palette_encode(&job, &directory, &payload, &stats, err);
         svo_buffer_free(&directory);
         svo_buffer_free(&payload);
+        if (s.of.failed) return svo_fail(err, read.code, "%s", read.message);
         if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "attributes", err);
         if (r != SVO_OK) return r;
         if (quality(&stats, goal->squares, count) > aim) low = goal->price;
@@ -235,6 +264,15 @@ static svo_result find_price(packing *k, svo_palette_goal *goal, double aim, uin
         goal->price = sqrt(low * high);
     }
     return make_goal_table(k, *goal, table_count, err);
+}
+
+static svo_result report_within(packing *k, const svo_palette_stats *stats, uint64_t table_count, svo_palette_goal goal, svo_error *err)
+{
+    k->report->distinct_out = table_count;
+    k->report->error_mean = stats->error_sum / (double)k->values->count;
+    k->report->error_max = stats->error_max;
+    if (stats->error_max > goal.bound) return svo_fail(err, SVO_RUNTIME, "an error of %.9g is above the bound of %.9g", stats->error_max, goal.bound);
+    return SVO_OK;
 }
 
 /* Blocks chosen by what they cost, each value within a bound. */
@@ -246,18 +284,59 @@ static svo_result pack_within(packing *k, svo_palette_goal goal, double aim, svo
     if (aim > 0) SVO_TRY(find_price(k, &goal, aim, &table_count, err));
     else SVO_TRY(make_goal_table(k, goal, &table_count, err));
     for (int round = 0;; round++) {
-        source s = {k->values, NULL, NULL};
+        source s = {k->values, NULL, NULL, NULL, false};
         SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
         double reached = quality(&stats, goal.squares, k->values->count);
         if (!(aim > 0) || reached <= aim || round + 1 == ROUNDS) break;
         goal.price *= pow(reached / aim, goal.squares ? 1.1 : 1.6) * 1.03; /* the sample was kinder than the whole */
         forget_blocks(k);
     }
-    k->report->distinct_out = table_count;
-    k->report->error_mean = stats.error_sum / (double)k->values->count;
-    k->report->error_max = stats.error_max;
-    if (stats.error_max > goal.bound) return svo_fail(err, SVO_RUNTIME, "an error of %.9g is above the bound of %.9g", stats.error_max, goal.bound);
-    return SVO_OK;
+    return report_within(k, &stats, table_count, goal, err);
+}
+
+/* With the table of k->distinct (or the first value alone where there are too many), smaller than raw or raw. */
+static svo_result pack_listed(packing *k, bool many, svo_error *err)
+{
+    const svoi_distinct *d = &k->distinct;
+    uint32_t first = svoi_load_value(k->values->first, k->values->stride);
+    uint64_t table_count = 1, kept = d->count, raw = k->values->count * k->values->stride;
+    SVO_TRY(take_room(k, many ? 1 : d->count, err));
+    k->table[0] = first;
+    if (!many) SVO_TRY(make_table(k->p, d->value, d->times, d->count, k->table, &table_count, &kept, err));
+    k->report->distinct_out = many ? 0 : kept;
+    if (!many && kept == 1) {
+        make_constant(k->p, k->channel, d->value[0], k->report);
+        return SVO_OK;
+    }
+    source s = {k->values, NULL, NULL, NULL, false};
+    SVO_TRY(encode(k, &s, table_count, (svo_palette_goal){0}, NULL, err));
+    if (k->report->bytes < raw) return SVO_OK;
+    forget_blocks(k);
+    k->report->bytes = raw;
+    return pack_raw(k->p, k->channel, k->values, &s, err);
+}
+
+/* A channel with more different values than are listed: memory does not grow with their number. */
+static svo_result pack_many(packing *k, svo_palette_goal goal, svo_error *err)
+{
+    bool normals = k->p->view.channels[k->channel].channel.kind == SVO_KIND_NORMAL_OCT32;
+    bool within = normals && goal.bound > 0;
+    svoi_mapping m = {.bits = within ? TABLE_BITS : k->options->normal_bits, .write = !within, .many = true};
+    if (normals && (within || m.bits != 0)) {
+        svo_result r = svoi_values_map(k->values, k->options->threads, LISTED, &m, &k->distinct, err);
+        if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "attributes", err);
+        if (r != SVO_OK) return r;
+        k->report->error_mean = m.error_sum / (double)k->values->count;
+        k->report->error_max = m.error_max;
+    }
+    if (!within) return pack_listed(k, m.many, err);
+    uint64_t table_count = 0, kept = 0;
+    SVO_TRY(take_room(k, k->distinct.count, err));
+    SVO_TRY(make_table(k->p, k->distinct.value, k->distinct.times, k->distinct.count, k->table, &table_count, &kept, err));
+    source s = {k->values, NULL, NULL, NULL, false};
+    svo_palette_stats stats;
+    SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
+    return report_within(k, &stats, table_count, goal, err);
 }
 
 svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,
@@ -273,10 +352,10 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
         return SVO_OK;
     }
     packing k = {.p = p, .channel = channel, .values = values, .distinct = {.a = a}, .options = options, .report = report};
-    if (svoi_values_distinct(values, options->threads, &k.distinct) != SVO_OK) return svoi_no_memory(p, "attributes", err);
+    bool many = false;
+    svo_result gathered = svoi_values_distinct(values, options->threads, c->channel.kind == SVO_KIND_COLOR_SRGB8 ? UINT64_MAX : LISTED, &k.distinct, &many, err);
+    if (gathered != SVO_OK) return gathered == SVO_OUT_OF_MEMORY ? svoi_no_memory(p, "attributes", err) : gathered;
     report->distinct_in = k.distinct.count;
-    k.mapped = svo_alloc(a, k.distinct.count, sizeof *k.mapped);
-    k.table = svo_alloc(a, k.distinct.count, sizeof *k.table);
     svo_palette_goal goal = {0};
     if (c->channel.kind == SVO_KIND_COLOR_SRGB8) goal.bound = options->color_delta_e;
     if (c->channel.kind == SVO_KIND_NORMAL_OCT32) goal.bound = options->normal_degrees;
@@ -284,12 +363,15 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
     double aim = 0;
     if (c->channel.kind == SVO_KIND_COLOR_SRGB8 && options->color_mean > 0) aim = options->color_mean;
     if (c->channel.kind == SVO_KIND_COLOR_SRGB8 && options->color_psnr > 0) aim = 255.0 * 255 / pow(10, options->color_psnr / 10), goal.squares = true;
-    svo_result r;
-    if (k.mapped == NULL || k.table == NULL) r = svoi_no_memory(p, "attributes", err);
-    else if (goal.bound > 0 && k.distinct.count > 1) r = pack_within(&k, goal, aim, err);
-    else r = pack_exactly(&k, err);
-    svo_free(a, k.mapped, k.distinct.count, sizeof *k.mapped);
-    svo_free(a, k.table, k.distinct.count, sizeof *k.table);
+    svo_result r = SVO_OK;
+    if (many) {
+        r = pack_many(&k, goal, err);
+    } else {
+        r = take_room(&k, k.distinct.count, err);
+        if (r == SVO_OK) r = goal.bound > 0 && k.distinct.count > 1 ? pack_within(&k, goal, aim, err) : pack_exactly(&k, err);
+    }
+    svo_free(a, k.mapped, k.room, sizeof *k.mapped);
+    svo_free(a, k.table, k.room, sizeof *k.table);
     svoi_distinct_free(&k.distinct);
     svoi_values_free(values);
     return r;

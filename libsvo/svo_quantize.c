@@ -29,7 +29,7 @@ static void decode(uint32_t value, double n[3])
     for (int i = 0; i < 3; i++) n[i] = f[i];
 }
 
-static double degrees_between(uint32_t a, uint32_t b)
+double svo_normal_degrees(uint32_t a, uint32_t b)
 {
     double x[3], y[3];
     decode(a, x);
@@ -73,7 +73,7 @@ static svo_result map_normals(void *user, uint64_t begin, uint64_t end, uint32_t
     job *j = user;
     for (uint64_t i = begin; i < end; i++) {
         j->mapped[i] = svo_quantize_normal(j->values[i], j->bits);
-        j->error[i] = j->mapped[i] == j->values[i] ? 0 : degrees_between(j->values[i], j->mapped[i]);
+        j->error[i] = j->mapped[i] == j->values[i] ? 0 : svo_normal_degrees(j->values[i], j->mapped[i]);
         if (j->error[i] > j->bound) {
             __atomic_store_n(&j->over, 1, __ATOMIC_RELAXED);
             return SVO_OK;

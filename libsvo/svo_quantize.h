@@ -25,6 +25,8 @@ svo_result svo_quantize(svo_channel_kind kind, const uint32_t *values, const uin
 
 /* A normal on the octahedral grid of bits / 2 a component: the grid point nearest in angle of the four around it. */
 uint32_t svo_quantize_normal(uint32_t value, uint32_t bits);
+/* Angle between two stored normals, degrees. */
+double svo_normal_degrees(uint32_t a, uint32_t b);
 
 #ifdef __cplusplus
 }

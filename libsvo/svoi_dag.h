@@ -7,6 +7,7 @@
 #define SVOI_DAG_H
 
 #include "svo_dag.h"
+#include "svo_spill.h"
 
 /* --- distinct bricks, distinct nodes of a level ------------------------------------------------------------------ */
 
@@ -86,21 +87,34 @@ svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_chann
 
 /* --- attribute streams ------------------------------------------------------------------------------------------- */
 
+/* What the channels of a builder hold together: beyond `budget` bytes full pages go to files. */
+typedef struct svoi_store {
+    const svo_spill *spill; /* NULL: everything stays in memory */
+    uint64_t budget, resident;
+} svoi_store;
+
 /* All values of a channel, in pages, so that growing copies nothing. */
 enum { SVOI_PAGE_BITS = 16, SVOI_PAGE = 1 << SVOI_PAGE_BITS };
 typedef struct svoi_values {
     const svo_allocator *a;
     uint32_t stride;
     uint64_t count;
-    uint8_t **page;
+    uint8_t **page; /* NULL: in the file, at its number * SVOI_PAGE * stride */
     uint64_t page_count, page_capacity;
+    svoi_store *store;
+    svo_spill_file file;
+    bool any, varies;  /* of the values that were given: is there one, are there two different ones? */
+    uint8_t first[4];
 } svoi_values;
-/* `values` NULL appends zeros. False: out of memory. */
-bool svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count);
-static inline uint8_t *svoi_values_at(const svoi_values *v, uint64_t i)
-{
-    return v->page[i >> SVOI_PAGE_BITS] + (i & (SVOI_PAGE - 1)) * v->stride;
-}
+/* `values` NULL appends zeros, to be replaced by svoi_values_set. SVO_OUT_OF_MEMORY without a message, or an error of the spill. */
+svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count, svo_error *err);
+svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value, svo_error *err);
+/* `n` values of one page from number `first` on: in place, or read to `buffer` (n * stride bytes). NULL when that fails. Several threads may. */
+const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n, uint8_t *buffer, svo_error *err);
+/* Replace `n` values of one page; several threads may, on different pages. */
+svo_result svoi_values_put(svoi_values *v, uint64_t first, uint64_t n, const uint8_t *values, svo_error *err);
+/* The page will not be needed again. */
+void svoi_values_drop(svoi_values *v, uint64_t page);
 void svoi_values_free(svoi_values *v);
 
 static inline uint32_t svoi_load_value(const uint8_t *p, uint32_t stride)
@@ -132,8 +146,17 @@ bool svoi_distinct_sort(svoi_distinct *d);
 /* Index of a value that is in it. */
 uint32_t svoi_distinct_index(const svoi_distinct *d, uint32_t value);
 void svoi_distinct_free(svoi_distinct *d);
-/* All of a stream, sorted; SVO_OUT_OF_MEMORY without a message. */
-svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, svoi_distinct *out);
+/* All of a stream, sorted; SVO_OUT_OF_MEMORY without a message, or an error of the spill. When there are more than `most`, *many becomes true
+ * and *out has none. */
+svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, uint64_t most, svoi_distinct *out, bool *many, svo_error *err);
+
+/* Every normal to the grid of `bits` (svo_quantize_normal), without a list of what occurs: with `write` in place. The distinct results go to *out as above. */
+typedef struct svoi_mapping {
+    uint32_t bits;
+    bool write, many, lossy;
+    double error_sum, error_max; /* degrees; added up in an order that does not depend on threads */
+} svoi_mapping;
+svo_result svoi_values_map(svoi_values *values, uint32_t threads, uint64_t most, svoi_mapping *m, svoi_distinct *out, svo_error *err);
 
 /* --- the result -------------------------------------------------------------------------------------------------- */
 

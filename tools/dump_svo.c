@@ -191,6 +191,19 @@ static svo_result run(dump_job *j, walk *w, svo_error *err)
     return dump_ply_end(ply, err);
 }
 
+static void put_shard(const fmt_svo_shard *s, json_t *o)
+{
+    json_t *shard = json_object();
+    char job[33];
+    fmt_hash_text(s->job, job);
+    cli_put_u64(shard, "index", s->index);
+    cli_put_u64(shard, "count", s->count);
+    cli_put_u64(shard, "first_code", s->first_code);
+    cli_put_u64(shard, "end_code", s->end_code);
+    cli_put_text(shard, "job", job);
+    json_object_set_new(o, "shard", shard);
+}
+
 svo_result dump_svo(dump_job *j, svo_error *err)
 {
     fmt_container c;
@@ -213,6 +226,7 @@ svo_result dump_svo(dump_job *j, svo_error *err)
         dump_counts(j->json, w.info->depth, fmt_svo_reader_counts(r)->nodes, j->size);
         cli_put_u64(j->json, "full_leaves", fmt_svo_reader_counts(r)->full_leaves);
         cli_put_u64(j->json, "values", fmt_svo_reader_counts(r)->values);
+        if (fmt_svo_reader_shard(r) != NULL) put_shard(fmt_svo_reader_shard(r), j->json);
         put_attributes(&w, j->json);
         dump_sections(j, &c);
         dump_provenance(j->json, fmt_svo_reader_provenance(r));

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "cli_quality.h"
+#include "fmt_spill.h"
 #include "fmt_svdag.h"
 #include "fmt_svo.h"
 #include "svo_dag.h"
@@ -15,7 +16,7 @@ static const char *const lod_names[] = {"all", "none", NULL};
 
 typedef struct arguments {
     int geometry, lod;
-    const char *color, *normal;
+    const char *color, *normal, *temp;
 } arguments;
 
 typedef struct run {
@@ -26,6 +27,7 @@ typedef struct run {
     svo_dag_report report;
     char *provenance;
     uint64_t bytes_in, bytes_out;
+    fmt_spill *spill;
 } run;
 
 static void enter_phase(void *user, const char *name) { cli_phase(user, name); }
@@ -41,7 +43,9 @@ static svo_result make_provenance(run *r, const fmt_svo_reader *reader, svo_erro
     json_t *source = json_loads(fmt_svo_reader_provenance(reader), 0, NULL);
     if (source != NULL) json_object_set_new(input, "provenance", source);
     json_array_append_new(inputs, input);
-    r->provenance = cli_provenance(r->c, cli_options_json(r->c, false), inputs);
+    json_t *how = cli_options_json(r->c, false);
+    json_object_del(how, "temp"); /* a place, not a choice */
+    r->provenance = cli_provenance(r->c, how, inputs);
     return r->provenance != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
 }
 
@@ -54,6 +58,10 @@ static svo_result read_and_build(run *r, svo_error *err)
     if (result == SVO_OK) {
         svo_chunk_source source = fmt_svo_reader_source(reader);
         result = svo_dag_build(fmt_svo_reader_info(reader), &source, &r->options, &r->packed, &r->report, err);
+    }
+    if (result == SVO_OK && fmt_svo_reader_shard(reader) != NULL) {
+        const fmt_svo_shard *s = fmt_svo_reader_shard(reader);
+        svo_warn(&r->c->warnings, "%s is shard %u of %u: only its part of the octree is packed (svo-merge joins them)", r->c->inputs[0], s->index, s->count);
     }
     if (result == SVO_OK) result = make_provenance(r, reader, err);
     r->bytes_in = fmt_input_offset(in);
@@ -179,6 +187,7 @@ static void report(run *r, double seconds)
     report_errors(r, v);
     cli_put_f64(cli_section(r->c, "speed"), "nodes_per_second", seconds > 0 ? (double)nodes / seconds : NAN);
     cli_put_u64(cli_section(r->c, "memory"), "peak_bytes", r->report.peak_bytes);
+    cli_put_u64(cli_section(r->c, "memory"), "temporary_bytes", fmt_spill_count(r->spill).bytes_peak);
     cli_info(r->c, "%llu voxels, %llu nodes -> %llu bytes (geometry %llu, attributes %llu): %.3f bytes a voxel, %.3f a node, %.2fx plain SVO",
              (unsigned long long)voxels, (unsigned long long)nodes, (unsigned long long)r->bytes_out,
              (unsigned long long)r->report.geometry_bytes, (unsigned long long)r->report.attribute_bytes,
@@ -197,7 +206,12 @@ static svo_result compress(run *r, svo_error *err)
     cli_phase(r->c, "open");
     SVO_TRY(fmt_output_open(r->c->output, r->c->force, &out, err));
     cli_phase(r->c, "read"); /* and average, and merge: chunk by chunk */
-    svo_result result = read_and_build(r, err);
+    fmt_spill_options spill = {.folder = r->args->temp, .beside = r->c->output};
+    svo_result result = fmt_spill_open(&spill, &r->spill, err);
+    if (result == SVO_OK) {
+        r->options.spill = fmt_spill_files(r->spill);
+        result = read_and_build(r, err);
+    }
     cli_phase(r->c, "write");
     if (result == SVO_OK) result = fmt_svdag_write(out, svo_packed_view(r->packed), r->provenance, err);
     r->bytes_out = fmt_output_offset(out);
@@ -223,6 +237,8 @@ int main(int argc, char **argv)
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees."},
         {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|none", .choices = lod_names,
          .help = "Attributes of inner nodes: averages of what is below, or none."},
+        {.name = "temp", .kind = CLI_TEXT, .value = &args.temp, .argument = "FOLDER", .no_default = true,
+         .help = "Where temporary files go; without it TMPDIR, else the folder of the output."},
     };
     const cli_tool tool = {
         .name = "svo-compress", .summary = "Pack a sparse voxel octree so that it can be traversed in place.",
@@ -246,6 +262,7 @@ int main(int argc, char **argv)
     svo_error err = {0};
     svo_result result = compress(&r, &err);
     svo_packed_free(r.packed);
+    fmt_spill_close(r.spill);
     free(r.provenance);
     return cli_end(&c, result, &err);
 }

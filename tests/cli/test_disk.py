@@ -1,5 +1,6 @@
 """The two forms of .svo: same octree, same bytes whichever way they were made; sizes and times."""
 
+import json
 import os
 
 import support
@@ -81,6 +82,42 @@ def test_size_of_smooth_surfaces(folder):
     voxels = run("svo-dump", folder / "s.svo", "--json").json["voxels"]
     check(sizes["small"] < 0.35 * sizes["fast"], sizes)
     check(8 * sizes["small"] / voxels < 0.45, (sizes, voxels))
+
+
+def test_shards_are_shown(folder):
+    support.sphere_obj(folder / "s.obj", rings=12)
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "p.svo", "--depth", 8, "--shard", "2/3")
+    shard = run("svo-dump", folder / "p.svo", "--json").json["shard"]
+    check((shard["index"], shard["count"]) == (2, 3) and 0 < shard["first_code"] < shard["end_code"] < 8 and len(shard["job"]) == 32, shard)
+    run("svo-compress", folder / "p.svo", "-o", folder / "p.svdag", "--report", folder / "r.json")
+    warnings = json.loads((folder / "r.json").read_text())["warnings"]
+    check(any("shard 2 of 3" in str(w) for w in warnings), warnings)
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "w.svo", "--depth", 8)
+    check("shard" not in run("svo-dump", folder / "w.svo", "--json").json, "a whole octree")
+
+
+def test_compress_in_bounded_memory(folder):
+    """Values go to temporary files; the bytes are the same, resident memory is at most 1.5 times the output and --memory."""
+    support.sphere_obj(folder / "s.obj", rings=64)
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "s.svo", "--depth", 10)
+    base, first, spilled = None, None, 0
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "tiny.svo", "--depth", 2)
+    run("svo-compress", folder / "tiny.svo", "-o", folder / "o.svdag", "--threads", 2, "--report", folder / "r.json")
+    base = json.loads((folder / "r.json").read_text())["peak_rss_bytes"]  # of a program that does nothing
+    for memory in ("1G", "64M", "40M", "28M"):
+        run("svo-compress", folder / "s.svo", "-o", folder / "o.svdag", "--force", "--normal", "deg=2", "--threads", 2, "--memory", memory, "--temp", folder,
+            "--report", folder / "r.json", "--force")
+        out = (folder / "o.svdag").read_bytes()
+        report = json.loads((folder / "r.json").read_text())
+        first = first or out
+        check(out == first, memory)
+        limit = int(memory[:-1]) << (30 if memory[-1] == "G" else 20)
+        check(report["peak_rss_bytes"] <= 1.5 * len(out) + limit + base, (memory, report["peak_rss_bytes"], len(out), base))
+        spilled = max(spilled, report["memory"]["temporary_bytes"])
+        check(not [f for f in os.listdir(folder) if f.startswith("svokit")], "temporary files are left")
+    check(spilled > 4 << 20, spilled)
+    r = tool("svo-compress", folder / "s.svo", "-o", folder / "no.svdag", "--memory", "2M")
+    check(r.code == 6 and not (folder / "no.svdag").exists(), r)
 
 
 support.main(globals())
