@@ -411,10 +411,10 @@ static void fill_view(const svo_dag_builder *b, svo_view *v)
     for (uint32_t i = 0; i < v->channel_count; i++) v->channels[i].channel = b->info.channels[i];
 }
 
-/* A single brick, or none (full leaves alone), has nothing to gain: it is always laid out plainly. */
+/* A single brick has nothing to gain: it is always laid out plainly. */
 static svo_result lay_out(svo_dag_builder *b, svo_error *err)
 {
-    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0 && b->bricks.count != 0)
+    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0)
         return svoi_layout_best(b->packed, b->nodes, &b->bricks, b->options.geometry == SVO_GEOMETRY_SYMMETRIC, b->options.threads, err);
     return svoi_layout_plain(b->packed, b->nodes, &b->bricks, err);
 }

@@ -50,7 +50,7 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
     const uint64_t *bricks = p->view.bricks;
     uint32_t ow = offset_words(&p->view, n, child_size);
     uint64_t words = 0;
-    uint32_t *at = svo_alloc(a, n->count, sizeof *at);
+    uint32_t *at = svo_alloc(a, n->count + 1, sizeof *at); /* a level may be empty: full leaves above it */
     if (at == NULL) return svoi_no_memory(p, "geometry", err);
     for (uint64_t i = 0; i < n->count; i++) {
         uint32_t mask = n->items[n->start[i]], k = (uint32_t)__builtin_popcount(mask & 0xff);
@@ -61,7 +61,7 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
     if (words > UINT32_MAX) r = svo_fail(err, SVO_LIMIT, "level %u has more than 2^32 words of distinct nodes", level);
     else if (!svo_buffer_reserve(&p->words[level], (size_t)words * 4)) r = svoi_no_memory(p, "geometry", err);
     if (r != SVO_OK) {
-        svo_free(a, at, n->count, sizeof *at);
+        svo_free(a, at, n->count + 1, sizeof *at);
         return r;
     }
     uint32_t *w = (uint32_t *)(void *)p->words[level].data;
@@ -79,7 +79,7 @@ svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bri
     p->view.layout = SVO_LAYOUT_PLAIN;
     svo_buffer_init(&p->bricks, a);
     if (!svo_buffer_reserve(&p->bricks, (size_t)bricks->count * 8)) return svoi_no_memory(p, "geometry", err);
-    memcpy(p->bricks.data, bricks->bits, (size_t)bricks->count * 8);
+    if (bricks->count != 0) memcpy(p->bricks.data, bricks->bits, (size_t)bricks->count * 8);
     p->bricks.size = (size_t)bricks->count * 8;
     p->view.bricks = (const uint64_t *)(const void *)p->bricks.data;
     p->view.brick_count = bricks->count;
@@ -96,7 +96,7 @@ svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bri
         r = emit_level(p, level, &levels[level], position, above_bricks ? NULL : levels[level + 1].size, &next, err);
         svo_free(a, position, positions, sizeof *position);
         position = next;
-        positions = levels[level].count;
+        positions = levels[level].count + 1;
         if (!above_bricks) svoi_nodes_free(&levels[level + 1]);
     }
     if (r == SVO_OK && bottom != 0) p->view.root = position[p->view.root];

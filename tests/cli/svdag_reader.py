@@ -1,7 +1,8 @@
 """A reader of .svdag written from docs/format/container.md, svo.md and svdag.md alone; it shares nothing with the C code.
 
     Svdag(path)           checks what it reads and raises ValueError where a rule is broken (hashes are not computed)
-    .nodes()              every node in order: (level, x, y, z, attribute index or None; 0 where nothing is numbered)
+    .nodes()              every node in order: (level, x, y, z, attribute index or None; 0 where nothing is numbered; all nodes
+                          inside a full leaf have its one)
     .voxel(x, y, z)       attribute index of a finest voxel, or None
     .value(channel, i)    value of attribute i as bytes
 """
@@ -117,9 +118,9 @@ class Svdag:
             yield from self.best.children(level, ref, index)
             return
         ow, _, words = self.levels[level]
-        mask = words[ref]
-        need(0 < mask < 256, "DAG-04")
-        k, slot = ones(mask), 0
+        mask, full = words[ref] & 255, words[ref] >> 8
+        need(mask != 0 and full & ~mask == 0, "DAG-04")
+        k, slot, r = ones(mask), 0, ones(mask & ~full)
         for octant in range(8):
             if not mask >> octant & 1:
                 continue
@@ -127,9 +128,10 @@ class Svdag:
             if self.unnumbered:
                 offset = 0
             elif slot:
-                at = ref + 1 + k + ow * (slot - 1)
+                at = ref + 1 + r + ow * (slot - 1)
                 offset = words[at] | (words[at + 1] << 32 if ow == 2 else 0)
-            yield octant, words[ref + 1 + slot], index + offset
+            stored = mask & ~full & (1 << octant) - 1
+            yield octant, None if full >> octant & 1 else words[ref + 1 + ones(stored)], index + offset
             slot += 1
 
     def _octant(self, brick, index, a):
@@ -156,6 +158,11 @@ class Svdag:
         stack = [(0, self._root(), 0, 0, 0, 0)]
         while stack:
             level, ref, index, x, y, z = stack.pop()
+            if ref is None:  # inside a full leaf: all is there, with one attribute
+                yield level, x, y, z, index if self.lod or level == self.T else None
+                for o in reversed(range(8 if level < self.T else 0)):
+                    stack.append((level + 1, None, index, 2 * x + (o & 1), 2 * y + (o >> 1 & 1), 2 * z + (o >> 2)))
+                continue
             yield level, x, y, z, index if self.lod else None
             if level < self.T - 2:
                 for o, child, i in reversed(list(self._children(level, ref, index))):
@@ -183,6 +190,8 @@ class Svdag:
             if not found:
                 return None
             ref, index = found[0]
+            if ref is None:
+                return index
         b = 8 * octant(self.T - 2) + octant(self.T - 1)
         brick = self._brick(ref)
         return self._voxel(brick, index, b) if brick >> b & 1 else None

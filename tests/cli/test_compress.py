@@ -112,6 +112,27 @@ def test_every_index_is_its_place_in_the_order(folder):
         check(tuple(counts) == f.level_nodes, (counts, f.level_nodes))
 
 
+def test_solids_with_full_leaves(folder):
+    octree(folder, 1)
+    svo = folder / "solid.svo"
+    run("svo-voxelize", folder / "cube.glb", "-o", svo, "--depth", 5, "--fill", "solid")
+    want = {k: (v.get("red"), v.get("green"), v.get("blue")) for k, v in voxels(folder, svo).items()}
+    for geometry in ("svdag", "symmetric", "best"):
+        for lod in ("all", "none"):
+            f = Svdag(compress(svo, "--lod", lod, "--geometry", geometry)[0])
+            found = {(x, y, z): index for level, x, y, z, index in f.nodes() if level == f.depth}
+            check(found.keys() == want.keys() and f.A < len(want), (geometry, lod, len(found), len(want), f.A))
+            check(all(f.voxel(*at) == found[at] for at in list(found)[::97]))
+            check(set(found.values()) <= set(range(f.A)))
+            counts = [0] * 22
+            for level, _, _, _, _ in f.nodes():
+                counts[level] += 1
+            check(tuple(counts) == f.level_nodes, (counts, f.level_nodes))
+            color = [c for c in range(len(f.channels)) if f.channels[c].name == "color"]
+            for at in list(found)[::53] if color else []:
+                check(tuple(f.value(color[0], found[at])) == want[at], (at, geometry))
+
+
 def test_inner_nodes_are_averages_in_linear_light(folder):
     svo, _ = octree(folder, 4)
     f = Svdag(compress(svo)[0])

@@ -35,6 +35,7 @@ static void same_node(const svo_view *a, const svo_view *b, uint32_t level, svo_
 {
     CHECK_U64(x.attribute, y.attribute);
     CHECK(x.full == y.full);
+    if (x.full) return; /* nothing is stored below */
     if (level == a->brick_level) {
         uint64_t brick = svo_view_brick(a, x);
         CHECK_U64(brick, svo_view_brick(b, y));
@@ -145,9 +146,9 @@ static tree tree_of(uint32_t depth, const uint64_t *codes, uint64_t count, uint6
     for (int i = 0; i < 4; i++) t.info.voxel_to_world[5 * i] = 1;
     strcpy(t.info.channels[0].name, "color");
     t.info.channels[0].kind = SVO_KIND_COLOR_SRGB8;
-    t.codes = malloc(count * sizeof *codes);
-    t.values[0] = malloc(count * 3);
-    memcpy(t.codes, codes, count * sizeof *codes);
+    t.codes = malloc((count + 1) * sizeof *codes);
+    t.values[0] = malloc(count * 3 + 1);
+    if (count != 0) memcpy(t.codes, codes, count * sizeof *codes);
     qsort(t.codes, count, sizeof *codes, compare_codes);
     for (uint64_t i = 0; i < count; i++)
         if (t.count == 0 || t.codes[t.count - 1] != t.codes[i]) t.codes[t.count++] = t.codes[i];
@@ -283,4 +284,83 @@ TEST(threads_and_memory)
         CHECK(r == SVO_OUT_OF_MEMORY && err.message[0] != 0);
     }
     tree_free(&t);
+}
+
+/* --- full leaves ------------------------------------------------------------------------------------------------- */
+
+typedef struct solid { uint8_t mask[1 << 16], color[3 << 18]; uint64_t masks, values; uint64_t seed; uint32_t full; } solid;
+static solid shape;
+
+/* A random subtree with `levels` below it; about one child in `full` is a full leaf. */
+static void random_solid(uint32_t levels, bool root)
+{
+    uint32_t mask = (uint32_t)test_random(&shape.seed) & (levels > 2 ? 0xff : (uint32_t)test_random(&shape.seed) & 0xff), at = (uint32_t)shape.masks++;
+    if (mask == 0 || (root && shape.full == 1)) mask = root ? 0xff : 1;
+    if (!root && levels >= 1 && test_random(&shape.seed) % shape.full == 0) {
+        shape.mask[at] = 0;
+        for (int k = 0; k < 3; k++) shape.color[3 * shape.values + (uint64_t)k] = (uint8_t)test_random(&shape.seed);
+        shape.values++;
+        return;
+    }
+    shape.mask[at] = (uint8_t)mask;
+    for (uint32_t m = mask; m != 0; m &= m - 1) {
+        if (levels > 1) {
+            random_solid(levels - 1, false);
+            continue;
+        }
+        for (int k = 0; k < 3; k++) shape.color[3 * shape.values + (uint64_t)k] = (uint8_t)test_random(&shape.seed);
+        shape.values++;
+    }
+}
+
+static svo_packed *build_solid(uint32_t depth, svo_geometry geometry, bool lod)
+{
+    svo_error err = {0};
+    tree t = tree_of(depth, NULL, 0, 0);
+    t.info.fill = SVO_FILL_SOLID;
+    svo_dag_options o = {.geometry = geometry, .lod = lod, .threads = 1};
+    svo_dag_builder *b;
+    svo_packed *p = NULL;
+    void *blob = NULL;
+    svo_chunk c = {.depth = depth, .node_count = shape.masks, .value_count = shape.values, .masks = shape.mask, .channels = {shape.color}};
+    svo_result r = svo_dag_builder_create(&t.info, &o, &b, &err);
+    if (r == SVO_OK) {
+        svo_chunk_sink s = svo_dag_builder_sink(b);
+        r = s.encode(s.user, &c, 0, &blob, &err);
+        if (r == SVO_OK) r = s.commit(s.user, blob, &err);
+        if (r == SVO_OK) r = svo_dag_builder_finish(b, &p, NULL, &err);
+        else svo_dag_builder_free(b);
+    }
+    if (r != SVO_OK) test_fail(__FILE__, __LINE__, "%s", err.message);
+    tree_free(&t);
+    return p;
+}
+
+TEST(full_leaves)
+{
+    svo_error err = {0};
+    for (int i = 0; i < 60 && !test_failed(); i++) {
+        uint32_t depth = 3 + (uint32_t)i % 4;
+        shape.masks = shape.values = 0;
+        shape.seed = 100 + (uint64_t)i;
+        shape.full = 1 + (uint32_t)i % 5; /* 1: full leaves alone, all levels below are empty */
+        random_solid(depth, true);
+        svo_packed *plain = build_solid(depth, SVO_GEOMETRY_SVDAG, i & 1), *best = build_solid(depth, i % 7 == 0 ? SVO_GEOMETRY_SYMMETRIC : SVO_GEOMETRY_BEST, i & 1);
+        if (plain != NULL && best != NULL) {
+            const svo_view *a = svo_packed_view(plain), *b = svo_packed_view(best);
+            CHECK(b->layout == SVO_LAYOUT_BEST);
+            CHECK_OK(svo_view_validate(b, NULL, &err));
+            same_node(a, b, 0, svo_view_root(a), svo_view_root(b));
+            same_rays(a, b);
+            for (uint32_t z = 0; z >> depth == 0; z++)
+                for (uint32_t y = 0; y >> depth == 0; y++)
+                    for (uint32_t x = 0; x >> depth == 0; x += 1 + (depth > 5)) {
+                        uint64_t index[2] = {0};
+                        CHECK(svo_view_voxel(a, x, y, z, &index[0]) == svo_view_voxel(b, x, y, z, &index[1]));
+                        CHECK_U64(index[0], index[1]);
+                    }
+        }
+        svo_packed_free(plain);
+        svo_packed_free(best);
+    }
 }
