@@ -43,6 +43,8 @@ typedef struct fmt_bytes {
     uint64_t size;
     uint64_t capacity; /* allocated, when not mapped */
     bool mapped;
+    int64_t modified[2]; /* seconds, nanoseconds: when it was opened; of files */
+    uint64_t inode, device;
     const svo_allocator *allocator;
 } fmt_bytes;
 svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_allocator *a, fmt_bytes *out, svo_error *err);
@@ -50,6 +52,8 @@ svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_alloca
  * so that it takes no memory. */
 svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *err);
 void fmt_bytes_close(fmt_bytes *b);
+/* SVO_IO when the file that was opened has another size or time of change now. */
+svo_result fmt_bytes_unchanged(const char *path, const fmt_bytes *b, svo_error *err);
 /* Part of the bytes of a MAPPED file need not stay in this process's memory: they are read from the file again when they are
  * used again. */
 void fmt_bytes_forget(const void *bytes, uint64_t size);

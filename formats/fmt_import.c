@@ -146,6 +146,11 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
         r = svo_fail(err, SVO_INVALID_DATA, "%s: the file is empty", path);
     else
         r = read_model(c, reader, &bytes, &mesh, err);
+    if (r == SVO_OK || r == SVO_INVALID_DATA) {
+        /* Of what a changing file gives, only that it changed is worth telling. */
+        svo_result changed = fmt_bytes_unchanged(path, &bytes, err);
+        if (changed != SVO_OK) r = changed;
+    }
     fmt_bytes_close(&bytes);
     if (r == SVO_OK) {
         if (svo_mesh_count(&mesh).placed_triangles == 0) svo_warn(c->warnings, "%s: no triangles", path);

@@ -90,6 +90,10 @@ svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_alloca
             b.mapped = true;
         }
     }
+    b.modified[0] = s.st_mtim.tv_sec;
+    b.modified[1] = s.st_mtim.tv_nsec;
+    b.inode = S_ISREG(s.st_mode) ? (uint64_t)s.st_ino : 0;
+    b.device = (uint64_t)s.st_dev;
     if (!b.mapped) r = read_whole(fd, shown(path), max_bytes, &b, err);
     if (fd != STDIN_FILENO) close(fd);
     if (r == SVO_OK) *out = b;
@@ -135,6 +139,15 @@ svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *e
     if (fd != STDIN_FILENO) close(fd);
     if (r == SVO_OK) *out = b;
     return r;
+}
+
+svo_result fmt_bytes_unchanged(const char *path, const fmt_bytes *b, svo_error *err)
+{
+    struct stat s;
+    /* Another file under the name does not matter: the one that was opened is still there. */
+    if (b->inode == 0 || stat(path, &s) != 0 || (uint64_t)s.st_ino != b->inode || (uint64_t)s.st_dev != b->device) return SVO_OK;
+    if ((uint64_t)s.st_size == b->size && s.st_mtim.tv_sec == b->modified[0] && s.st_mtim.tv_nsec == b->modified[1]) return SVO_OK;
+    return svo_fail(err, SVO_IO, "%s changed while it was read; try again when it is complete", path);
 }
 
 void fmt_bytes_forget(const void *bytes, uint64_t size)

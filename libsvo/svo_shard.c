@@ -111,6 +111,10 @@ svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *opti
 {
     if (count == 0 || count > SVO_MAX_SHARDS || index == 0 || index > count)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "there is no shard %u of %u", index, count);
+    for (uint32_t i = 0; i < mesh->shape_count; i++)
+        for (uint32_t p = 0; p < mesh->shapes[i].part_count; p++)
+            if (mesh->shapes[i].parts[p].soup != NULL)
+                return svo_fail(err, SVO_LIMIT, "shards are planned with all triangles in memory; allow more (--memory)");
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, options->memory != 0 ? options->memory : UINT64_MAX, options->allocator);
     svo_grid grid = {.size = info->voxel_to_world[0], .depth = info->depth};

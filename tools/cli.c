@@ -343,8 +343,22 @@ static void on_signal(int number)
     raise(number); /* the handler is reset: ends the process as if there were none */
 }
 
+/* A mapped file was shortened by somebody else, or its disk fails. There is nothing to go back to: say so and end. */
+static void on_bus_error(int number)
+{
+    static const char text[] = "error: a file that is read was shortened meanwhile, or its disk failed\n";
+    (void)number;
+    fmt_output_remove_temporaries();
+    ssize_t unused = write(STDERR_FILENO, text, sizeof text - 1);
+    (void)unused;
+    _exit(svo_result_exit_code(SVO_IO));
+}
+
 static void set_signals(void)
 {
+    struct sigaction bus = {.sa_handler = on_bus_error, .sa_flags = (int)SA_RESETHAND};
+    sigemptyset(&bus.sa_mask);
+    sigaction(SIGBUS, &bus, NULL);
     signal(SIGPIPE, SIG_IGN); /* a reader that has gone is an I/O error */
     static const int ends[] = {SIGHUP, SIGINT, SIGTERM};
     for (size_t i = 0; i < sizeof ends / sizeof *ends; i++) {

@@ -10,6 +10,7 @@
 #include "fmt_svo.h"
 #include "svo_shard.h"
 #include "svo_voxelize.h"
+#include "voxelize_estimate.h"
 #include "voxelize_join.h"
 #include "voxelize_shard.h"
 #include "voxelize_sources.h"
@@ -35,6 +36,7 @@ typedef struct tool_options {
     bool key;
     const char *temp;
     uint64_t temp_size;
+    bool dry_run, ignore_free_space;
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
@@ -263,6 +265,18 @@ static svo_result plan(cli *c, const tool_options *o, const svo_mesh *mesh, svo_
     return SVO_OK;
 }
 
+/* Before anything is written: what it will take (all that --dry-run does), and whether the disk has room for it. */
+static svo_result estimate(cli *c, const tool_options *o, const svo_mesh *mesh, const job *j, svo_limit_allocator *limit, svo_error *err)
+{
+    estimate_input in = {.mesh = mesh, .options = &j->options, .info = &j->info, .spill = j->spill, .allocator = &limit->base, .level = (int)o->level,
+                         .small = o->disk != 0, .seconds_before = svo_seconds() - c->started};
+    if (!o->dry_run) return o->ignore_free_space ? SVO_OK : estimate_check_disk(c, &in, c->output, err);
+    run_estimate e;
+    SVO_TRY(estimate_run(c, &in, &e, err));
+    estimate_print(c, &e, c->output, j->spill);
+    return SVO_OK;
+}
+
 static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh, const job *j, svo_limit_allocator *limit, svo_error *err)
 {
     fmt_output *out = NULL;
@@ -337,8 +351,9 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
             r = print_key(o, &j, err);
         } else {
             if (r == SVO_OK) r = plan(c, o, &mesh, &limit, &j, err);
-            if (r == SVO_OK) r = write_tree(c, o, &mesh, &j, &limit, err);
-            if (r == SVO_OK && o->depfile != NULL) r = sources_depfile(&read, o->depfile, c->output, c->force, err);
+            if (r == SVO_OK) r = estimate(c, o, &mesh, &j, &limit, err);
+            if (r == SVO_OK && !o->dry_run) r = write_tree(c, o, &mesh, &j, &limit, err);
+            if (r == SVO_OK && !o->dry_run && o->depfile != NULL) r = sources_depfile(&read, o->depfile, c->output, c->force, err);
         }
         svo_mesh_free(&mesh);
     }
@@ -379,6 +394,10 @@ int main(int argc, char **argv)
          .help = "With --memory: folder for temporary files; by default TMPDIR if it is set, else that of the output."},
         {.name = "temp-size", .kind = CLI_SIZE, .value = &o.temp_size, .argument = "SIZE",
          .help = "Most that temporary files may take; 0 is no limit but the disk's."},
+        {.name = "dry-run", .kind = CLI_FLAG, .value = &o.dry_run,
+         .help = "Print what the run will take (voxels, bytes, memory, temporary files, seconds), from a trial at a coarse depth, and make nothing."},
+        {.name = "ignore-free-space", .kind = CLI_FLAG, .value = &o.ignore_free_space,
+         .help = "Begin also where the output is not expected to fit on its disk."},
         {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true,
          .help = "Write a rule for Make or Ninja that names every file read."},
         {.name = "depfile-beside", .letter = 'M', .kind = CLI_CHOICE, .value = &o.beside, .choices = beside, .argument = "D", .seen = &o.has_beside, .no_default = true,
@@ -403,16 +422,16 @@ int main(int argc, char **argv)
     cli c;
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
-    if (c.output == NULL && !o.key) return cli_usage(&c, "no output given (-o OUT)");
+    if (c.output == NULL && !o.key && !o.dry_run) return cli_usage(&c, "no output given (-o OUT)");
     char why[200];
     if (o.shard != NULL && !parse_shard(o.shard, &o.shard_index, &o.shard_count, why, sizeof why)) return cli_usage(&c, "--shard: %s", why);
     static char depfile[4096 + 3];
     if (o.has_beside && o.depfile != NULL) return cli_usage(&c, "--depfile and -MD exclude each other");
-    if (o.has_beside && !o.key) {
+    if (o.has_beside && !o.key && c.output != NULL) {
         if (strlen(c.output) > 4096) return cli_usage(&c, "the name of the output is too long");
         o.depfile = strcat(strcpy(depfile, c.output), ".d");
     }
-    if (o.depfile != NULL && !o.key && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
+    if (o.depfile != NULL && !o.key && !o.dry_run && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
     if (strstr(o.attributes, "bone") != NULL)

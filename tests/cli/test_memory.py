@@ -1,0 +1,263 @@
+"""svo-voxelize --memory: meshes larger than memory, full disks, inputs that change, runs that are killed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+import support
+from support import check, skip, tool
+
+BENCH = support.tools.parent / "tests" / "bench_mesh"
+CONSTANT = 16 << 20  # program, libraries, stacks, buffers of files: what --memory does not count
+SANITIZED = "asan" in str(support.tools) or "tsan" in str(support.tools)
+
+
+def sheet(folder, kind, triangles, shuffled=False):
+    if not BENCH.exists():
+        skip("bench_mesh is not built")
+    path = folder / ("sheet." + kind)
+    subprocess.run([str(BENCH), kind, str(triangles), str(path)] + (["shuffled"] if shuffled else []), check=True)
+    return path
+
+
+def limited(folder, mesh, memory, *more):
+    """Run with --memory in a folder of its own, check that no name is left in it; returns the report."""
+    temp = folder / "temp"
+    temp.mkdir(exist_ok=True)
+    r = tool("svo-voxelize", mesh, "-o", folder / "b.svo", "-f", "--memory", memory, "--temp", temp, "--report", folder / "r.json", *more)
+    check(r.code == 0, r)
+    check(list(temp.iterdir()) == [], "temporary files are left")
+    return json.loads((folder / "r.json").read_text())
+
+
+def compare(folder, mesh, memory, bytes_allowed, *more):
+    r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "-f", *more)
+    check(r.code == 0, r)
+    report = limited(folder, mesh, memory, *more)
+    check((folder / "a.svo").read_bytes() == (folder / "b.svo").read_bytes(), "%s with %s: other bytes" % (mesh, memory))
+    if not SANITIZED:
+        check(report["peak_rss_bytes"] <= bytes_allowed + CONSTANT, "%s: %d bytes resident" % (mesh, report["peak_rss_bytes"]))
+    return report
+
+
+def test_two_million_triangles_in_64_megabytes(folder):
+    for kind in ("ply", "stl"):
+        report = compare(folder, sheet(folder, kind, 2000000), "64M", 64 << 20, "--depth", "9")
+        check(report["input"]["spilled_triangles"] == report["input"]["triangles"], report["input"])
+        check(report["temporary_files"]["files_at_a_time"] <= 8, report["temporary_files"])
+        (folder / ("sheet." + kind)).unlink()
+
+
+def test_every_format_at_every_kind_of_depth(folder):
+    for kind in ("ply", "obj", "off", "stl"):
+        mesh = sheet(folder, kind, 130000, shuffled=kind != "stl")
+        for depth in ("0", "5", "10"):
+            report = compare(folder, mesh, "20M", 20 << 20, "--depth", depth)
+        if kind != "ply":
+            check(report["temporary_files"]["used"], report)
+
+
+def test_thin_and_threads(folder):
+    mesh = sheet(folder, "obj", 130000)
+    for threads in ("1", "3"):
+        compare(folder, mesh, "24M", 24 << 20, "--depth", "9", "--surface", "thin", "--threads", threads)
+
+
+def messy_obj(path):
+    """Materials in turns, polygons, missing and relative references, colours of some vertices, continued lines."""
+    rng = random.Random(1)
+    lines = ["mtllib none.mtl"]
+    for i in range(45000):
+        x, y, z = rng.random(), rng.random(), rng.random()
+        colour = " %.3f %.3f %.3f" % (rng.random(), rng.random(), rng.random()) if i % 3 == 0 and i < 20000 else ""
+        for k in range(4):
+            lines.append("v %.9g %.9g %.9g%s" % (x + 0.01 * (k in (1, 2)), y + 0.01 * (k > 1), z + 0.01 * rng.random(), colour))
+        lines.append("vt %g %g" % (rng.random(), rng.random()))
+        lines.append("vn %g %g %g" % (rng.random() - 0.5, rng.random() - 0.5, 1))
+        if i % 7 == 0:
+            lines.append("usemtl m%d" % (i % 5))
+        lines.append(("f -4/-1/-1 -3/-1/-1 \\\n -2//-1 -1", "f -4 -3 -2", "f -4//-1 -3//-1 -1//-1", "f -4/-1 -3/-1 -2/-1 -1/99999999", "f 1 -3 -2")[i % 4 if i % 1000 else 4])
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_files_with_everything(folder):
+    messy_obj(folder / "messy.obj")
+    report = compare(folder, folder / "messy.obj", "24M", 24 << 20, "--depth", "9", "--attributes", "color,normal,material")
+    check(report["input"]["spilled_triangles"] != 0, report["input"])
+    rng = random.Random(2)
+    for name, floats in (("bytes", False), ("floats", True)):
+        n = 80000
+        rows = ["ply", "format ascii 1.0", "element vertex %d" % n, "property double x", "property double y", "property double z", "property float nx",
+                "property float ny", "property float nz"] + ["property %s %s" % ("float" if floats else "uchar", c) for c in ("red", "green", "blue", "alpha")]
+        rows += ["element face %d" % (n // 2), "property list uchar int vertex_indices", "end_header"]
+        for i in range(n):
+            centre = random.Random(i // 8)
+            rows.append(" ".join(["%.9g" % (centre.random() + 0.01 * rng.random()) for _ in range(3)] + ["%.9g" % rng.random() for _ in range(3)]) + " " + " ".join(("%.3f" % (rng.random() * 200) if floats else str(rng.randrange(256))) for _ in range(4)))
+        for i in range(n // 2):
+            c = rng.randrange(n // 8) * 8
+            rows.append(" ".join(map(str, [3 + i % 3] + [c + k for k in range(3 + i % 3)])))
+        mesh = folder / (name + ".ply")
+        mesh.write_text("\n".join(rows) + "\n")
+        report = compare(folder, mesh, "20M", 20 << 20, "--depth", "7")
+        check(report["input"]["spilled_triangles"] != 0, report["input"])
+
+
+def test_damaged_files_give_the_same_errors(folder):
+    good = sheet(folder, "obj", 130000).read_text()
+    for name, text in (("vertex", good.replace("v 0.5", "v zero", 1)), ("face", good + "f 1 2 99999999\n"), ("face2", good + "f 1/1 2/x 3\n")):
+        path = folder / (name + ".obj")
+        path.write_text(text)
+        a = tool("svo-voxelize", path, "-o", folder / "a.svo", "--depth", "8")
+        b = tool("svo-voxelize", path, "-o", folder / "b.svo", "--depth", "8", "--memory", "20M")
+        check(a.code == 3 and b.code == 3, str(a) + str(b))
+        check(a.err == b.err, a.err + b.err)
+        check(not (folder / "b.svo").exists())
+    ply = sheet(folder, "ply", 600000).read_bytes()
+    (folder / "cut.ply").write_bytes(ply[:-1000])
+    r = tool("svo-voxelize", folder / "cut.ply", "-o", folder / "b.svo", "--depth", "8", "--memory", "20M")
+    check(r.code == 3, r)
+
+
+def test_too_little_memory_says_what_would_do(folder):
+    mesh = sheet(folder, "stl", 20000)
+    for memory in ("1", "100K", "1M", "4M"):
+        r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "9", "--memory", memory)
+        check(r.code == 6 and "memory" in r.err.lower(), r)
+        check(sorted(p.name for p in folder.iterdir()) == ["sheet.stl"], list(folder.iterdir()))
+
+
+def test_limit_of_temporary_files(folder):
+    mesh = sheet(folder, "stl", 300000)
+    r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "9", "--memory", "20M", "--temp-size", "5M")
+    check(r.code == 6 and "5242880" in r.err, r)
+    r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "9", "--memory", "20M", "--temp", folder / "nowhere")
+    check(r.code == 2 and "nowhere" in r.err, r)
+
+
+def small_disk(folder, megabytes):
+    """A mounted file system of a few megabytes; skips where that cannot be had."""
+    place = folder / "disk"
+    place.mkdir()
+    if os.geteuid() != 0 or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=%dm" % megabytes, "none", str(place)], stderr=subprocess.DEVNULL).returncode != 0:
+        skip("a small file system cannot be mounted here")
+    return place
+
+
+def test_disk_full(folder):
+    mesh = sheet(folder, "stl", 400000)
+    disk = small_disk(folder, 3)
+    try:
+        # told before: the run is not begun
+        r = tool("svo-voxelize", mesh, "-o", disk / "a.svo", "--depth", "11")
+        check(r.code == 6 and "free" in r.err and str(disk) in r.err, r)
+        check(list(disk.iterdir()) == [])
+        r = tool("svo-voxelize", mesh, "-o", disk / "a.svo", "--depth", "11", "--force")
+        check(r.code == 6, r)
+        # begun all the same: the output does not fit
+        r = tool("svo-voxelize", mesh, "-o", disk / "a.svo", "--depth", "11", "--ignore-free-space")
+        check(r.code == 2 and "space" in r.err.lower(), r)
+        check(list(disk.iterdir()) == [])
+        # temporary files do not fit
+        r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "9", "--memory", "20M", "--temp", disk)
+        check(r.code == 2 and str(disk) in r.err and "--temp" in r.err, r)
+        check(list(disk.iterdir()) == [] and not (folder / "a.svo").exists())
+    finally:
+        subprocess.run(["umount", str(disk)])
+
+
+def test_killed_runs_leave_nothing(folder):
+    mesh = sheet(folder, "obj", 300000)
+    temp = folder / "temp"
+    temp.mkdir()
+    rng = random.Random(3)
+    command = [str(support.tools / "svo-voxelize"), str(mesh), "-o", str(folder / "a.svo"), "--depth", "10", "--memory", "24M", "--temp", str(temp)]
+    for number in (signal.SIGKILL, signal.SIGINT, signal.SIGTERM, signal.SIGKILL, signal.SIGINT, signal.SIGKILL):
+        p = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+        time.sleep(rng.random() * 1.5)
+        p.send_signal(number)
+        p.wait(60)
+        check(p.returncode in (-number, 0), p.returncode)
+        check(list(temp.iterdir()) == [], list(temp.iterdir()))
+        left = sorted(f.name for f in folder.iterdir() if f.name not in ("sheet.obj", "temp"))
+        check(left == ([] if p.returncode != 0 else ["a.svo"]), left)
+        if left:
+            (folder / "a.svo").unlink()
+
+
+def test_input_that_changes(folder):
+    """Longer, shorter or other bytes while it is read: an I/O error, never a signal, and no output."""
+    seen = set()
+    for change in ("append", "truncate", "rewrite"):
+        for attempt in range(6):
+            mesh = sheet(folder, "obj", 300000)
+            command = [str(support.tools / "svo-voxelize"), str(mesh), "-o", str(folder / "a.svo"), "--depth", "9", "-f", "--memory", "24M"]
+            p = subprocess.Popen(command, stderr=subprocess.PIPE)
+            time.sleep(0.05 + 0.1 * attempt)
+            with open(mesh, "r+b") as f:
+                if change == "append":
+                    f.seek(0, 2)
+                    f.write(b"v 0 0 0\n")
+                elif change == "truncate":
+                    f.truncate(100000)
+                else:
+                    f.seek(1000)
+                    f.write(b"v 0.5 0.5 0.5\n")
+            err = p.communicate(timeout=120)[1].decode()
+            check(p.returncode in (0, 2), "%s: %s %s" % (change, p.returncode, err))
+            if p.returncode == 2:
+                check("changed" in err or "shortened" in err, err)
+                check(not (folder / "a.svo").exists())
+                seen.add(change)
+            else:
+                (folder / "a.svo").unlink()
+    check(len(seen) >= 2, "hardly any change was seen: %s" % seen)
+
+
+def test_a_reader_that_goes(folder):
+    mesh = sheet(folder, "ply", 300000)
+    p = subprocess.Popen([str(support.tools / "svo-voxelize"), str(mesh), "-o", "-", "--depth", "11", "--memory", "40M"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    p.stdout.read(100)
+    p.stdout.close()
+    err = p.stderr.read().decode()
+    check(p.wait(120) == 2 and "pipe" in err, "%s %s" % (p.returncode, err))
+
+
+def test_dry_run(folder):
+    mesh = sheet(folder, "ply", 100000)
+    for more in ([], ["--memory", "20M"], ["--voxel-size", "0.001"]):
+        args = more + ([] if "--voxel-size" in more else ["--depth", "11"])
+        r = tool("svo-voxelize", mesh, "--dry-run", "-o", folder / "a.svo", "--report", folder / "e.json", *args)
+        check(r.code == 0 and "basis" in r.text, r)
+        check(not (folder / "a.svo").exists())
+        e = json.loads((folder / "e.json").read_text())["estimate"]
+        r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "-f", "--report", folder / "r.json", *args)
+        check(r.code == 0, r)
+        o = json.loads((folder / "r.json").read_text())["output"]
+        check(abs(e["voxels"] / o["voxels"] - 1) < 0.15, (e, o["voxels"]))
+        check(abs(e["voxels_by_area"] / o["voxels"] - 1) < 0.15, (e, o["voxels"]))
+        check(abs(e["bytes"] / o["bytes"] - 1) < 0.5, (e, o["bytes"]))
+        check(e["seconds"] > 0 and e["memory_bytes"] > 0, e)
+        (folder / "a.svo").unlink()
+
+
+if __name__ == "__main__" and "--twenty-million" in sys.argv:
+    # Longer than a test: 20 million triangles, also with poor locality.  test_memory.py TOOLS SOURCE --twenty-million
+    import pathlib
+    with tempfile.TemporaryDirectory(dir=".") as name:
+        place = pathlib.Path(name)
+        for shuffled in (False, True):
+            for kind in ("ply", "obj"):
+                mesh = sheet(place, kind, 20000000, shuffled)
+                start = time.monotonic()
+                report = limited(place, mesh, "512M", "--depth", "12", "--attributes", "none")
+                print(kind, "shuffled" if shuffled else "in order", "%.0f s" % (time.monotonic() - start), "%.0f MB resident" % (report["peak_rss_bytes"] / 1e6),
+                      report["temporary_files"], flush=True)
+                check(report["peak_rss_bytes"] <= (512 << 20) + CONSTANT)
+                mesh.unlink()
+else:
+    support.main(globals())
