@@ -55,7 +55,7 @@ def test_two_million_triangles_in_64_megabytes(folder):
 
 def test_every_format_at_every_kind_of_depth(folder):
     for kind in ("ply", "obj", "off", "stl"):
-        mesh = sheet(folder, kind, 130000, shuffled=kind != "stl")
+        mesh = sheet(folder, kind, 200000, shuffled=kind != "stl")
         for depth in ("0", "5", "10"):
             report = compare(folder, mesh, "20M", 20 << 20, "--depth", depth)
         if kind != "ply":
@@ -193,7 +193,7 @@ def test_input_that_changes(folder):
     """Longer, shorter or other bytes while it is read: an I/O error, never a signal, and no output."""
     seen = set()
     for change in ("append", "truncate", "rewrite"):
-        for attempt in range(6):
+        for attempt in range(4):
             mesh = sheet(folder, "obj", 300000)
             command = [str(support.tools / "svo-voxelize"), str(mesh), "-o", str(folder / "a.svo"), "--depth", "9", "-f", "--memory", "24M"]
             p = subprocess.Popen(command, stderr=subprocess.PIPE)
