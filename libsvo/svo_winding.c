@@ -7,7 +7,7 @@
 
 __extension__ typedef __int128 wide;
 
-enum { BLOCK = 8192 };
+enum { BLOCK = 8192, FEW_EDGES = 256 /* boundary edges that are rather summed one by one */ };
 
 static const double four_pi = 12.566370614359172;
 static const double accept = 2.3; /* distance over radius from which a node is one term */
@@ -244,7 +244,7 @@ static svo_result build(svo_winding *w, const svo_placement *p, const svo_grid *
     SVO_TRY(r);
     bool ok = build_trees(w, keys);
     if (ok && w->boundary_count != 0) ok = build_edges(w, lattice_bits);
-    if (ok && w->tree[SVOI_OPEN].count != 0) ok = build_moments(w);
+    if (ok && w->tree[SVOI_OPEN].count != 0 && w->boundary_count > FEW_EDGES) ok = build_moments(w);
     return ok ? SVO_OK : no_memory(w->count, err);
 }
 
@@ -367,11 +367,35 @@ static double solid_angle(int32_t (*q)[3], const int32_t p[3])
     return 2 * atan2(det, den) / four_pi;
 }
 
+/* Curtains hung from the boundary to infinity along -z close the open parts. A ray along +z crosses none of them, so the winding number of
+ * the whole is the sum of the crossings of the surface, and that of the surface is less by the solid angles of the curtains. */
+static double curtain_winding(const svo_winding *w, const int32_t p[3])
+{
+    uint64_t number;
+    double sum = 0;
+    for (uint64_t i = 0; i < w->boundary_count; i++) {
+        const svoi_boundary_edge *e = &w->boundary[i];
+        double a[3], b[3], dot_ab = 0, aa = 0, bb = 0;
+        int64_t ax = (int64_t)e->a[0] - p[0], ay = (int64_t)e->a[1] - p[1], bx = (int64_t)e->b[0] - p[0], by = (int64_t)e->b[1] - p[1];
+        for (int k = 0; k < 3; k++) {
+            a[k] = (double)e->a[k] - p[k], b[k] = (double)e->b[k] - p[k];
+            dot_ab += a[k] * b[k], aa += a[k] * a[k], bb += b[k] * b[k];
+        }
+        double la = sqrt(aa), lb = sqrt(bb);
+        /* the triangle b, a, infinity; where the point is in the curtain's plane the side decides that the ray's rule has it on */
+        double up = (double)(ax * by - ay * bx), across = la * lb + dot_ab - a[2] * lb - b[2] * la;
+        if (bx * ay == by * ax) up = side_of(e->a, e->b, p) > 0 ? 0.0 : -0.0;
+        sum += e->times * atan2(up, across);
+    }
+    return (double)crossings(w, &w->tree[SVOI_OPEN], p, &number) - 2 * sum / four_pi;
+}
+
 static double open_winding(const svo_winding *w, const int32_t p[3])
 {
     const svoi_tree *t = &w->tree[SVOI_OPEN];
     double sum = 0;
     if (t->count == 0) return 0;
+    if (w->moments == NULL) return curtain_winding(w, p);
     svoi_tree_node stack[SVOI_TREE_STACK];
     uint32_t top = 0;
     stack[top++] = (svoi_tree_node){t->levels - 1, 0};
@@ -452,7 +476,20 @@ double svo_winding_change(const svo_winding *w, const int32_t low[3], const int3
             continue;
         }
         if (!(d2 > 0)) return INFINITY;
-        gradient += w->length[t->first[n.level] + n.at] / (four_pi * d2);
+        double sum = w->length[t->first[n.level] + n.at] / d2;
+        if (n.level == 0 && 9 * extent2 > d2) { /* near: edge by edge; a straight line changes it by no more than pi / d */
+            uint64_t begin, end;
+            sum = 0;
+            for (svoi_tree_items(t, n, &begin, &end); begin < end; begin++) {
+                const svoi_boundary_edge *e = &w->boundary[t->order[begin]];
+                svoi_box own;
+                edge_box((void *)(uintptr_t)w, t->order[begin], &own);
+                double length2 = 0, near2 = gap2(&own, low, high);
+                for (int k = 0; k < 3; k++) length2 += ((double)e->b[k] - e->a[k]) * ((double)e->b[k] - e->a[k]);
+                sum += e->times * fmin(sqrt(length2) / near2, 0.25 * four_pi / sqrt(near2));
+            }
+        }
+        gradient += sum / four_pi;
         if (gradient * diagonal > 1) return INFINITY;
     }
     return gradient * diagonal;

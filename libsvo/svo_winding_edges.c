@@ -286,8 +286,9 @@ static bool list_boundary(classify *c, svo_buffer *boundary)
             edge *at = find(c, key_of(&tri, e, &up));
             if (at->net == 0) continue;
             svoi_boundary_edge b = {.times = (uint32_t)(at->net < 0 ? -at->net : at->net)};
-            memcpy(b.a, tri.q[e], sizeof b.a);
-            memcpy(b.b, tri.q[e == 2 ? 0 : e + 1], sizeof b.b);
+            const int32_t *from = tri.q[e], *to = tri.q[e == 2 ? 0 : e + 1];
+            memcpy(b.a, up == (at->net > 0) ? from : to, sizeof b.a);
+            memcpy(b.b, up == (at->net > 0) ? to : from, sizeof b.b);
             at->net = 0; /* once */
             if (svo_buffer_append(boundary, &b, sizeof b) == NULL) return false;
         }

@@ -9,8 +9,8 @@ enum { SVOI_ORIENTED = 0, SVOI_EVEN = 1, SVOI_OPEN = 2, SVOI_SKIPPED = 3, SVOI_C
 
 /* An edge at which open parts end. */
 typedef struct svoi_boundary_edge {
-    int32_t a[3], b[3];
-    uint32_t times; /* uses in one direction that the other does not have */
+    int32_t a[3], b[3]; /* in the direction in which more faces use it */
+    uint32_t times;     /* uses in that direction that the other does not have */
 } svoi_boundary_edge;
 
 typedef struct svoi_edges_input {
