@@ -176,14 +176,6 @@ static uint64_t child_size(const encoder *e, uint32_t level, const children *c, 
     return c->full >> octant & 1 ? 1 : svoi_symdag_size(e->d, level + 1, c->number[octant]);
 }
 
-/* Tier of a reference to `place`: the first with enough bits. */
-static uint32_t tier_of(const uint8_t tier[SVOI_TIERS], uint64_t place)
-{
-    uint32_t t = 0;
-    while (svoi_bit_width(place) > tier[t]) t++;
-    return t;
-}
-
 /* Bits of the child's mask where it is written inside its parent. */
 static uint64_t mask_bits(encoder *e, uint32_t child_level, const children *c, uint32_t octant)
 {
@@ -229,15 +221,15 @@ static void put_head(encoder *e, uint32_t level, const children *c)
     const uint8_t *tier = e->tier[level + 1];
     for (uint32_t m = refs; m != 0; m &= m - 1) {
         uint32_t n = c->number[__builtin_ctz(m)];
-        if (shared(e, level + 1, n)) put_bits(e, tier_of(tier, e->place[level + 1][n]), 2);
+        if (shared(e, level + 1, n)) put_bits(e, svoi_best_tier_of(tier, e->place[level + 1][n]), 2);
     }
     for (uint32_t m = refs; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m), n = c->number[o];
         if (!shared(e, level + 1, n)) continue;
         uint64_t place = e->place[level + 1][n];
-        put_bits(e, place, tier[tier_of(tier, place)]);
+        put_bits(e, place, tier[svoi_best_tier_of(tier, place)]);
         put_bits(e, c->turn[o], 6);
-        if (e->pass == PASS_WRITE) e->stats.references += 8u + tier[tier_of(tier, place)];
+        if (e->pass == PASS_WRITE) e->stats.references += 8u + tier[svoi_best_tier_of(tier, place)];
     }
     if (e->pass == PASS_WRITE) e->stats.heads += svoi_bits_written(&e->out) - begin;
 }
@@ -426,26 +418,6 @@ static void choose_written_out(encoder *e)
 
 /* --- sizes ------------------------------------------------------------------------------------------------------- */
 
-/* Widths of the four tiers of references that take the fewest bits in all. uses[w]: references whose place has w bits. */
-static void choose_tiers(const uint64_t uses[65], uint8_t tier[SVOI_TIERS])
-{
-    uint32_t most = 0;
-    uint64_t up_to[65], sum = 0, least = UINT64_MAX;
-    for (uint32_t w = 0; w <= 64; w++) {
-        sum += uses[w];
-        up_to[w] = sum;
-        if (uses[w] != 0) most = w;
-    }
-    for (uint32_t a = 0; a <= most; a++)
-        for (uint32_t b = a; b <= most; b++)
-            for (uint32_t c = b; c <= most; c++) {
-                uint64_t bits = up_to[a] * a + (up_to[b] - up_to[a]) * b + (up_to[c] - up_to[b]) * c + (sum - up_to[c]) * most;
-                if (bits >= least) continue;
-                least = bits;
-                tier[0] = (uint8_t)a, tier[1] = (uint8_t)b, tier[2] = (uint8_t)c, tier[3] = (uint8_t)most;
-            }
-}
-
 /* Sizes of a level's nodes; places of those that are shared: the most used first. */
 static bool size_level(encoder *e, uint32_t level)
 {
@@ -488,7 +460,7 @@ static bool size_level(encoder *e, uint32_t level)
         at += (8 + e->bits[level][n] + 7) / 8;
     }
     e->pool_bytes[level] = at;
-    choose_tiers(uses, e->tier[level]);
+    svoi_best_choose_tiers(uses, e->tier[level]);
     svo_free(e->a, key, n_shared + 1, sizeof *key);
     return true;
 }
@@ -510,29 +482,12 @@ static void write_stream(encoder *e)
     for (int i = 0; i < SVOI_BITS_GUARD; i++) svoi_bits_put(&e->out, 0, 8);
 }
 
-/* Lengths of one context: as a list of the symbols that occur, or all of them, whichever is shorter. */
-static void write_lengths(svoi_bit_writer *w, const uint8_t *length, uint32_t n)
-{
-    uint32_t used = 0, symbol_bits = svoi_bit_width(n - 1);
-    for (uint32_t i = 0; i < n; i++) used += length[i] != SVOI_HUFFMAN_UNUSED;
-    svoi_bits_put(w, used != 0, 1);
-    if (used == 0) return;
-    bool list = symbol_bits + used * (symbol_bits + 4) < n * 4 || used == 1;
-    svoi_bits_put(w, list, 1);
-    if (list) svoi_bits_put(w, used - 1, symbol_bits);
-    for (uint32_t i = 0; i < n; i++) {
-        bool is = length[i] != SVOI_HUFFMAN_UNUSED;
-        if (list && is) svoi_bits_put(w, i, symbol_bits);
-        if (is || !list) svoi_bits_put(w, is ? length[i] : 0, 4); /* 0 in a list of one; else an unused symbol */
-    }
-}
-
 static void write_codes(encoder *e, svoi_bit_writer *w)
 {
     svoi_bits_put(w, e->classes, 8);
     svoi_bits_put(w, e->solid, 8);
     for (uint32_t c = 0; c < e->contexts.first[SVOI_CONTEXT_KINDS]; c++)
-        write_lengths(w, e->length[c], e->contexts.symbols[context_kind(&e->contexts, c)]);
+        svoi_best_write_lengths(w, e->length[c], e->contexts.symbols[context_kind(&e->contexts, c)]);
     for (uint32_t c = 1; c + 1 < e->classes; c++) {
         uint32_t count[SVOI_ID_LONGEST + 1] = {0}, longest = 0;
         for (uint32_t i = 0; i < e->class_count[c]; i++) {
@@ -645,14 +600,6 @@ static bool write_parts(encoder *e, svoi_best_parts *out)
     return e->out.ok;
 }
 
-void svoi_best_parts_free(svoi_best_parts *p)
-{
-    svo_buffer_free(&p->stream);
-    svo_buffer_free(&p->levels);
-    svo_buffer_free(&p->codes);
-    svo_buffer_free(&p->dictionary);
-}
-
 svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, uint32_t classes, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats)
 {
     SVO_ASSERT(d->brick_level >= 1 && classes >= 3 && classes <= SVOI_CLASSES);
@@ -671,28 +618,4 @@ svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, uint32_t classe
     svo_free(a, e, 1, sizeof *e);
     if (!ok) svoi_best_parts_free(out);
     return ok ? SVO_OK : SVO_OUT_OF_MEMORY;
-}
-
-svo_result svoi_layout_best(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, bool mirrors, uint32_t threads, svo_error *err)
-{
-    const svo_allocator *a = &p->memory.base;
-    svo_view *v = &p->view;
-    svoi_symdag d;
-    svo_result r = svoi_symdag_make(&d, levels, bricks, v->brick_level, v->root, v->lod, mirrors ? SVOI_MIRRORS : SVOI_ALL, threads, a);
-    svoi_best_parts parts;
-    if (r == SVO_OK) {
-        r = svoi_best_encode(&d, !v->unnumbered, SVOI_BEST_CLASSES, a, &parts, NULL);
-        v->root = d.root_turn;
-        svoi_symdag_free(&d);
-    }
-    if (r != SVO_OK) return svoi_no_memory(p, "geometry", err);
-    p->best_stream = parts.stream, p->best_levels = parts.levels, p->best_codes = parts.codes, p->bricks = parts.dictionary;
-    v->layout = SVO_LAYOUT_BEST;
-    v->best_stream = parts.stream.data, v->best_stream_bytes = parts.stream.size;
-    v->best_codes = parts.codes.data, v->best_code_bytes = parts.codes.size;
-    v->best_levels = (const svoi_best_level *)(const void *)parts.levels.data;
-    v->bricks = (const uint64_t *)(const void *)parts.dictionary.data;
-    v->brick_count = parts.dictionary.size / 8;
-    r = svo_view_prepare(v, a, err);
-    return r == SVO_OUT_OF_MEMORY ? svoi_no_memory(p, "geometry", err) : r;
 }

@@ -30,4 +30,11 @@ void svoi_best_parts_free(svoi_best_parts *p);
 enum { SVOI_BEST_CLASSES = 24 };
 svo_result svoi_best_encode(const svoi_symdag *d, bool numbered, uint32_t classes, const svo_allocator *a, svoi_best_parts *out, svoi_best_stats *stats);
 
+/* Widths of the four tiers of references that take the fewest bits in all; uses[w]: references whose place has w bits. */
+void svoi_best_choose_tiers(const uint64_t uses[65], uint8_t tier[SVOI_TIERS]);
+/* Tier of a reference to `place`: the first with enough bits. */
+uint32_t svoi_best_tier_of(const uint8_t tier[SVOI_TIERS], uint64_t place);
+/* Lengths of the codes of one context, as in the chunk CODE. */
+void svoi_best_write_lengths(svoi_bit_writer *w, const uint8_t *length, uint32_t n);
+
 #endif
