@@ -17,6 +17,7 @@
 
 enum { HEAD_FIXED = 336, RECORD = 48, NODE_HEAD = 4 /* words */ };
 enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2 };
+enum { CODE_FIXED = 72, CODE_LEVEL = 32, CODE_FULL = 1 }; /* layout 2 */
 
 static const uint32_t known[] = {HEAD, NODE, BRCK, LVLS, CODE, TREE, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
 enum { KNOWN = sizeof known / sizeof known[0] };
@@ -82,6 +83,29 @@ static svo_result put_best(fmt_writer *w, const svo_view *v, svo_error *err)
     return put(w, TREE, 0, v->best_stream_bytes, 1, v->best_stream, err);
 }
 
+static svo_result put_fast(fmt_writer *w, const svo_view *v, svo_error *err)
+{
+    uint8_t code[CODE_FIXED + CODE_LEVEL * SVO_MAX_DEPTH] = {0};
+    const svo_view_fast *f = &v->fast;
+    memcpy(code, f->id_bits, 8);
+    memcpy(code + 8, f->code_bits, 8);
+    memcpy(code + 16, f->turn, 48);
+    fmt_store64(code + 64, f->full ? CODE_FULL : 0);
+    for (uint32_t l = 0; l < v->brick_level; l++) {
+        uint8_t *b = code + CODE_FIXED + CODE_LEVEL * l;
+        fmt_store64(b, (f->level[l].end - f->level[l].begin) / 8);
+        fmt_store64(b + 8, f->level[l].pool_count);
+        fmt_store64(b + 16, f->level[l].node_count);
+        memcpy(b + 24, f->level[l].code_bits, 4);
+        b[28] = f->level[l].skip_bits;
+        b[29] = f->level[l].size_bits;
+    }
+    size_t size = CODE_FIXED + CODE_LEVEL * (size_t)v->brick_level;
+    fmt_chunk c = {.type = CODE, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
+    SVO_TRY(fmt_writer_chunk(w, &c, code, err));
+    return put(w, TREE, 0, f->tree_bytes, 1, f->tree, err);
+}
+
 static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_error *err)
 {
     const svo_view_channel *c = &v->channels[i];
@@ -100,7 +124,8 @@ static svo_result put_all(fmt_writer *w, const svo_view *v, const char *provenan
     fmt_chunk c = {.type = HEAD, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size};
     SVO_TRY(fmt_writer_chunk(w, &c, head, err));
     if (!v->empty) {
-        if (v->layout == SVO_LAYOUT_BEST) SVO_TRY(put_best(w, v, err));
+        if (v->layout == SVO_LAYOUT_FAST) SVO_TRY(put_fast(w, v, err));
+        else if (v->layout == SVO_LAYOUT_BEST) SVO_TRY(put_best(w, v, err));
         else for (uint32_t l = 0; l < v->brick_level; l++) SVO_TRY(put_level(w, &v->levels[l], l, err));
         SVO_TRY(put(w, BRCK, 0, v->brick_count, 8, v->bricks, err));
     }
@@ -169,7 +194,7 @@ static svo_result parse_head(reader *r, svo_view *v)
     SVO_TRY(take(r, HEAD, 0, 0, &chunk, &b));
     if (chunk->stored_size < HEAD_FIXED || chunk->element_stride != 0 || chunk->element_count != 0) return bad(r, chunk, "HEAD is too short (DAG-02)");
     uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
-    if (layout != SVO_LAYOUT_PLAIN && layout != SVO_LAYOUT_BEST)
+    if (layout != SVO_LAYOUT_PLAIN && layout != SVO_LAYOUT_FAST && layout != SVO_LAYOUT_BEST)
         return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
     if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
     svo_tree_info info;
@@ -207,11 +232,44 @@ static svo_result parse_head(reader *r, svo_view *v)
     return SVO_OK;
 }
 
+static svo_result parse_fast(reader *r, svo_view *v)
+{
+    const fmt_chunk *chunk;
+    const uint8_t *b;
+    svo_view_fast *f = &v->fast;
+    SVO_TRY(take(r, CODE, 0, 0, &chunk, &b));
+    if (chunk->stored_size != CODE_FIXED + CODE_LEVEL * (uint64_t)v->brick_level || chunk->element_stride != 0 || chunk->element_count != 0)
+        return bad(r, chunk, "wrong size (DAG-17)");
+    memcpy(f->id_bits, b, 8);
+    memcpy(f->code_bits, b + 8, 8);
+    memcpy(f->turn, b + 16, 48);
+    if (fmt_load64(b + 64) > CODE_FULL) return bad(r, chunk, "reserved fields are not 0 (DAG-17)");
+    f->full = fmt_load64(b + 64) == CODE_FULL;
+    uint64_t at = 0;
+    for (uint32_t l = 0; l < v->brick_level; l++) {
+        const uint8_t *p = b + CODE_FIXED + CODE_LEVEL * l;
+        svo_view_fast_level *to = &f->level[l];
+        uint64_t bytes = fmt_load64(p);
+        if (bytes > (uint64_t)1 << 48 || fmt_load16(p + 30) != 0) return bad(r, chunk, "size of a pool out of range, or a reserved field is not 0 (DAG-17)");
+        to->begin = at;
+        to->end = at += 8 * bytes;
+        to->pool_count = fmt_load64(p + 8);
+        to->node_count = fmt_load64(p + 16);
+        memcpy(to->code_bits, p + 24, 4);
+        to->skip_bits = p[28];
+        to->size_bits = p[29];
+    }
+    SVO_TRY(take(r, TREE, 0, 1, &chunk, &f->tree));
+    f->tree_bytes = chunk->stored_size;
+    return SVO_OK;
+}
+
 static svo_result parse_geometry(reader *r, svo_view *v)
 {
     const fmt_chunk *chunk;
     const uint8_t *b;
     if (v->empty) return SVO_OK;
+    if (v->layout == SVO_LAYOUT_FAST) SVO_TRY(parse_fast(r, v));
     if (v->layout == SVO_LAYOUT_BEST) {
         SVO_TRY(take(r, LVLS, 0, SVO_BEST_LEVEL_BYTES, &chunk, &b));
         if (chunk->element_count != v->brick_level) return bad(r, chunk, "wrong number of levels (DAG-12)");

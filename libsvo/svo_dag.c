@@ -411,10 +411,12 @@ static void fill_view(const svo_dag_builder *b, svo_view *v)
     for (uint32_t i = 0; i < v->channel_count; i++) v->channels[i].channel = b->info.channels[i];
 }
 
-/* A single brick has nothing to gain: it is always laid out plainly. */
+/* A single brick has nothing to gain: it is always laid out plainly (layout fast: so are full leaves alone). */
 static svo_result lay_out(svo_dag_builder *b, svo_error *err)
 {
-    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->brick_level != 0)
+    if (b->options.geometry == SVO_GEOMETRY_FAST && b->brick_level != 0 && b->bricks.count != 0)
+        return svoi_layout_fast(b->packed, b->nodes, &b->bricks, b->options.threads, err);
+    if (b->options.geometry != SVO_GEOMETRY_SVDAG && b->options.geometry != SVO_GEOMETRY_FAST && b->brick_level != 0)
         return svoi_layout_best(b->packed, b->nodes, &b->bricks, b->options.geometry == SVO_GEOMETRY_SYMMETRIC, b->options.threads, err);
     return svoi_layout_plain(b->packed, b->nodes, &b->bricks, err);
 }
@@ -476,6 +478,7 @@ void svo_packed_free(svo_packed *p)
     if (p == NULL) return;
     for (uint32_t i = 0; i < SVO_MAX_DEPTH; i++) svo_buffer_free(&p->words[i]);
     svo_buffer_free(&p->bricks);
+    svo_buffer_free(&p->tree);
     svo_buffer_free(&p->best_stream);
     svo_buffer_free(&p->best_levels);
     svo_buffer_free(&p->best_codes);

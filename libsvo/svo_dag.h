@@ -11,9 +11,10 @@ extern "C" {
 
 /* What is merged, and how it is laid out. All are lossless and read through svo_view.h. */
 typedef enum svo_geometry {
+    SVO_GEOMETRY_FAST,      /* subtrees equal under any of the 48 symmetries of the cube; layout fast */
     SVO_GEOMETRY_SVDAG,     /* equal subtrees; layout plain */
     SVO_GEOMETRY_SYMMETRIC, /* subtrees that are equal or mirror images; layout best */
-    SVO_GEOMETRY_BEST,      /* subtrees equal under any of the 48 symmetries of the cube; layout best, the fewest bytes */
+    SVO_GEOMETRY_BEST,      /* as fast; layout best, the fewest bytes */
 } svo_geometry;
 
 /* How values of a channel are reduced. All zero: lossless. Colours: a table of 2^bits entries clustered in CIELAB

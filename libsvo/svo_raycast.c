@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "svoi_fast.h"
 
 /* The kernel walks cells front to back (after Laine and Karras 2010): the current cell is a child slot of the node `ref` of
  * some level; a filled slot is entered, an empty one is left through its nearest far plane. Positions are integers, so
@@ -243,7 +244,8 @@ INLINE uint64_t cached_child(svoi_ray_cache *c, const svoi_best *b, uint32_t lev
 INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64_t at, uint32_t turn)
 {
     spot s = {at, 0, turn};
-    if (layout == SVO_LAYOUT_BEST && !v->best->solid) s.mask = svoi_turn_mask(turn, (uint32_t)(at >> 56));
+    if (layout == SVO_LAYOUT_FAST) s.mask = svo_view_fast_mask(v, level, (svo_view_node){.at = at, .symmetry = turn});
+    else if (layout == SVO_LAYOUT_BEST && !v->best->solid) s.mask = svoi_turn_mask(turn, (uint32_t)(at >> 56));
     else if (layout == SVO_LAYOUT_BEST) s.mask = svo_view_best_mask(v, (svo_view_node){.at = at, .symmetry = turn});
     else s.mask = v->levels[level].words[at];
     return s;
@@ -251,6 +253,17 @@ INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64
 
 INLINE uint64_t spot_child(const svo_view *v, svoi_ray_cache *c, svo_layout layout, uint32_t level, spot s, uint32_t octant, uint32_t *turn)
 {
+    if (layout == SVO_LAYOUT_FAST) {
+        uint32_t stored = svoi_turn_octant(s.turn, octant), change;
+        *turn = s.turn;
+        if (level + 1 != v->brick_level) {
+            svoi_fast_node n = svoi_fast_open(v, level, s.at);
+            return svoi_fast_find(v, level, &n, svoi_fast_slot(n.refs, stored), turn);
+        }
+        svoi_fast_block b = svoi_fast_open_block(v, s.at);
+        uint64_t brick = svoi_fast_brick(v, &b, svoi_fast_slot(b.refs, stored), &change);
+        return svoi_turn_brick(svoi_turn_inverse(svoi_turn_after(change, s.turn)), brick);
+    }
     if (layout == SVO_LAYOUT_BEST) {
         uint32_t stored = svoi_turn_octant(svoi_turn_inverse(s.turn), octant), change;
         if (level + 1 == v->brick_level) {
@@ -373,6 +386,7 @@ static bool find(const svo_view *v, svoi_ray_cache *c, const svo_ray *ray, line 
 {
     if (!make_line(v, ray, l)) return false;
     bool lod = l->spread > 0 || l->offset > 0;
+    if (v->layout == SVO_LAYOUT_FAST) return lod ? trace(v, c, l, true, SVO_LAYOUT_FAST, found) : trace(v, c, l, false, SVO_LAYOUT_FAST, found);
     if (v->layout == SVO_LAYOUT_BEST) return lod ? trace(v, c, l, true, SVO_LAYOUT_BEST, found) : trace(v, c, l, false, SVO_LAYOUT_BEST, found);
     return lod ? trace(v, c, l, true, SVO_LAYOUT_PLAIN, found) : trace(v, c, l, false, SVO_LAYOUT_PLAIN, found);
 }

@@ -43,6 +43,7 @@ bool svo_view_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint6
     SVO_ASSERT(x >> v->depth == 0 && y >> v->depth == 0 && z >> v->depth == 0);
     if (v->empty) return false;
     if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_voxel(v, x, y, z, index);
+    if (v->layout == SVO_LAYOUT_FAST) return svo_view_fast_voxel(v, x, y, z, index);
     svo_view_node n = svo_view_root(v);
     for (uint32_t level = 0; level < v->brick_level; level++) {
         uint32_t bit = v->tree_depth - 1 - level;
@@ -96,6 +97,7 @@ uint64_t svo_view_stored(const svo_view *v, uint32_t level)
     SVO_ASSERT(level <= v->brick_level);
     if (v->empty) return 0;
     if (level == v->brick_level) return v->brick_count;
+    if (v->layout == SVO_LAYOUT_FAST) return v->fast.level[level].node_count;
     return v->layout == SVO_LAYOUT_BEST ? v->best_levels[level].nodes : v->levels[level].node_count;
 }
 
@@ -103,7 +105,10 @@ uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECT
 {
     uint32_t n = 0;
     if (v->empty) return 0;
-    if (v->layout == SVO_LAYOUT_BEST) {
+    if (v->layout == SVO_LAYOUT_FAST) {
+        out[n++] = (svo_view_section){"CODE", SVO_MAX_DEPTH + 1, 72 + 32 * (uint64_t)v->brick_level};
+        out[n++] = (svo_view_section){"TREE", SVO_MAX_DEPTH + 1, v->fast.tree_bytes};
+    } else if (v->layout == SVO_LAYOUT_BEST) {
         out[n++] = (svo_view_section){"LVLS", SVO_MAX_DEPTH + 1, v->brick_level * sizeof *v->best_levels};
         out[n++] = (svo_view_section){"CODE", SVO_MAX_DEPTH + 1, v->best_code_bytes};
         out[n++] = (svo_view_section){"TREE", SVO_MAX_DEPTH + 1, v->best_stream_bytes};
@@ -117,6 +122,25 @@ uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECT
 #define COMPARE(x, y) \
     if ((x) != (y)) return (x) < (y) ? -1 : 1
 
+static int compare_fast(const svo_view *a, const svo_view *b)
+{
+    const svo_view_fast *x = &a->fast, *y = &b->fast;
+    int c = 0;
+    COMPARE(x->tree_bytes, y->tree_bytes);
+    COMPARE(x->full, y->full);
+    if ((c = memcmp(x->code_bits, y->code_bits, sizeof x->code_bits)) != 0) return c;
+    if ((c = memcmp(x->id_bits, y->id_bits, sizeof x->id_bits)) != 0) return c;
+    if ((c = memcmp(x->turn, y->turn, sizeof x->turn)) != 0) return c;
+    for (uint32_t l = 0; l < a->brick_level; l++) {
+        COMPARE(x->level[l].begin, y->level[l].begin);
+        COMPARE(x->level[l].skip_bits, y->level[l].skip_bits);
+        COMPARE(x->level[l].size_bits, y->level[l].size_bits);
+        if ((c = memcmp(x->level[l].code_bits, y->level[l].code_bits, sizeof x->level[l].code_bits)) != 0) return c;
+    }
+    if (a->brick_count != 0 && (c = memcmp(a->bricks, b->bricks, (size_t)a->brick_count * 8)) != 0) return c;
+    return memcmp(x->tree, y->tree, (size_t)x->tree_bytes);
+}
+
 int svo_view_compare_geometry(const svo_view *a, const svo_view *b)
 {
     int c = 0;
@@ -127,6 +151,7 @@ int svo_view_compare_geometry(const svo_view *a, const svo_view *b)
     COMPARE(a->brick_count, b->brick_count);
     COMPARE(a->root, b->root);
     COMPARE(a->unnumbered, b->unnumbered);
+    if (a->layout == SVO_LAYOUT_FAST) return compare_fast(a, b);
     if (a->layout == SVO_LAYOUT_BEST) {
         COMPARE(a->best_stream_bytes, b->best_stream_bytes);
         COMPARE(a->best_code_bytes, b->best_code_bytes);

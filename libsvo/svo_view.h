@@ -34,7 +34,7 @@
 extern "C" {
 #endif
 
-typedef enum svo_layout { SVO_LAYOUT_PLAIN = 1, SVO_LAYOUT_BEST = 3 } svo_layout;
+typedef enum svo_layout { SVO_LAYOUT_PLAIN = 1, SVO_LAYOUT_FAST = 2, SVO_LAYOUT_BEST = 3 } svo_layout;
 
 typedef struct svo_view_level {
     const uint32_t *words;
@@ -43,6 +43,30 @@ typedef struct svo_view_level {
 } svo_view_level;
 
 enum { SVO_BEST_LEVEL_BYTES = 32 };
+
+/* Layout 2 ("fast"): subtrees that are equal under any of the 48 symmetries of the cube are stored once, nodes with one
+ * parent inside it, in depth-first order, nodes with several in a pool of their level, most used first, and bricks once
+ * under all symmetries, named by codes of few widths. Everything but the dictionary of bricks is one string of bits; see
+ * docs/format/svdag.md. Levels 0 .. brick_level - 1. */
+typedef struct svo_view_fast_level {
+    uint64_t begin, end;   /* of the pool, as bit positions that are multiples of 8; the root is alone in that of level 0 */
+    uint64_t pool_count;   /* nodes in the pool */
+    uint64_t node_count;   /* nodes stored, in the pool or inside others */
+    uint8_t code_bits[4];  /* reference of class 1..3 to the pool of the next level; [0] unused */
+    uint8_t skip_bits;     /* position of a node that is stored inside; 0 above the bricks' level: walked over */
+    uint8_t size_bits;     /* attributes of a child; 0 where unnumbered, and in the last two levels, where bricks are counted */
+} svo_view_fast_level;
+
+enum { SVO_FAST_LITERAL = 64 }; /* id_bits of a brick that is written out */
+typedef struct svo_view_fast {
+    const uint8_t *tree;
+    uint64_t tree_bytes;      /* the last 8 are padding */
+    bool full;                /* nodes say which children are full leaves */
+    uint8_t code_bits[2][4];  /* a brick's code in a block of mode 0, 1 with tag 0..3: a number in the dictionary ... */
+    uint8_t id_bits[2][4];    /* ... of so many bits, and above it an index of turn[] */
+    uint8_t turn[48];         /* turns between the frame of a block's bricks and a brick's, frequent ones first; turn[0] is none */
+    svo_view_fast_level level[SVO_MAX_DEPTH];
+} svo_view_fast;
 
 /* How a channel's values are stored. */
 typedef enum svo_encoding {
@@ -75,7 +99,8 @@ typedef struct svo_view {
     /* layout plain */
     uint32_t root;        /* word index in level 0, or brick index when brick_level == 0 */
     svo_view_level levels[SVO_MAX_DEPTH]; /* levels 0 .. brick_level - 1 */
-    const uint64_t *bricks; /* layout best: its dictionary */
+    svo_view_fast fast; /* layout fast; root is the turn of the root */
+    const uint64_t *bricks; /* layouts fast and best: the dictionary */
     uint64_t brick_count;
     /* layout best (docs/format/svdag.md): its chunks, and the tables that are made of them once; root is the turn of the root */
     const uint8_t *best_stream, *best_codes;
@@ -106,9 +131,16 @@ uint32_t svo_view_best_mask(const svo_view *v, svo_view_node node); /* full leav
 bool svo_view_best_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index); /* as svo_view_voxel */
 svo_view_node svo_view_best_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant);
 
+/* For layout fast. */
+svo_view_node svo_view_fast_root(const svo_view *v);
+uint32_t svo_view_fast_mask(const svo_view *v, uint32_t level, svo_view_node node); /* full leaves in bits 8..15 */
+svo_view_node svo_view_fast_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant);
+bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, uint64_t *index);
+
 /* The root of an octree that is not empty. */
 static inline svo_view_node svo_view_root(const svo_view *v)
 {
+    if (v->layout == SVO_LAYOUT_FAST) return svo_view_fast_root(v);
     if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_root(v);
     svo_view_node n = {v->root, 0, 0, false, 0};
     return n;
@@ -118,6 +150,7 @@ static inline svo_view_node svo_view_root(const svo_view *v)
 static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, svo_view_node node)
 {
     if (node.full) return 0xff;
+    if (v->layout == SVO_LAYOUT_FAST) return (uint8_t)svo_view_fast_mask(v, level, node);
     if (v->layout == SVO_LAYOUT_BEST) return (uint8_t)svo_view_best_mask(v, node);
     return (uint8_t)v->levels[level].words[node.at];
 }
@@ -126,6 +159,7 @@ static inline uint8_t svo_view_mask(const svo_view *v, uint32_t level, svo_view_
 static inline uint8_t svo_view_full(const svo_view *v, uint32_t level, svo_view_node node)
 {
     if (node.full) return 0xff;
+    if (v->layout == SVO_LAYOUT_FAST) return (uint8_t)(svo_view_fast_mask(v, level, node) >> 8);
     if (v->layout == SVO_LAYOUT_BEST) return (uint8_t)(svo_view_best_mask(v, node) >> 8);
     return (uint8_t)(v->levels[level].words[node.at] >> 8);
 }
@@ -134,6 +168,7 @@ static inline uint8_t svo_view_full(const svo_view *v, uint32_t level, svo_view_
 static inline svo_view_node svo_view_child(const svo_view *v, uint32_t level, svo_view_node node, uint32_t octant)
 {
     if (node.full) return node;
+    if (v->layout == SVO_LAYOUT_FAST) return svo_view_fast_child(v, level, node, octant);
     if (v->layout == SVO_LAYOUT_BEST) return svo_view_best_child(v, level, node, octant);
     const svo_view_level *l = &v->levels[level];
     const uint32_t *w = l->words + node.at;

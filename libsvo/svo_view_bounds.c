@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "svoi_best.h"
+#include "svoi_view.h"
 
 /* Nodes of one level that may hold the extreme voxel: a bit for every word (or brick) index. */
 typedef struct frontier {
@@ -78,6 +79,7 @@ svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool 
     *any = !v->empty;
     for (int k = 0; k < 3; k++) low[k] = high[k] = 0;
     if (v->empty) return SVO_OK;
+    if (v->layout == SVO_LAYOUT_FAST) return svoi_fast_bounds(v, a, low, high, err);
     if (v->layout == SVO_LAYOUT_BEST) return svoi_best_bounds(v, a, low, high) ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to find the bounds of an octree");
     uint64_t items = v->brick_count;
     for (uint32_t l = 0; l < v->brick_level; l++)

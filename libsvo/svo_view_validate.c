@@ -3,6 +3,7 @@
 
 #include "svo_palette.h"
 #include "svoi_best.h"
+#include "svoi_view.h"
 
 /* Where nodes start in a level, and their numbers by rank. */
 typedef struct starts {
@@ -225,7 +226,7 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         v->channel_count > SVO_MAX_CHANNELS)
         return bad(&c, "DAG-02", 0, 0, "depth or number of channels out of range");
     svo_result r = SVO_OK;
-    if (v->layout != SVO_LAYOUT_PLAIN && v->layout != SVO_LAYOUT_BEST) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
+    if (v->layout != SVO_LAYOUT_PLAIN && v->layout != SVO_LAYOUT_FAST && v->layout != SVO_LAYOUT_BEST) return bad(&c, "DAG-01", 0, (uint64_t)v->layout, "unknown layout");
     if (v->layout == SVO_LAYOUT_BEST && !v->empty && v->best == NULL)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "svo_view_prepare comes before svo_view_validate");
     for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
@@ -235,7 +236,7 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) zero = zero && v->nodes[l] == 0;
         if (!zero) r = bad(&c, "DAG-07", 0, 0, "an empty octree with nodes");
     } else {
-        r = v->layout == SVO_LAYOUT_BEST ? svoi_best_validate(v, a, err) : check_geometry(&c);
+        r = v->layout == SVO_LAYOUT_FAST ? svoi_fast_validate(v, a, err) : v->layout == SVO_LAYOUT_BEST ? svoi_best_validate(v, a, err) : check_geometry(&c);
     }
     for (uint32_t l = 0; l < SVO_MAX_DEPTH; l++) {
         svo_free(a, c.level[l].bit, c.level[l].words, sizeof *c.level[l].bit);

@@ -163,7 +163,7 @@ svo_result svoi_values_map(svoi_values *values, uint32_t threads, uint64_t most,
 struct svo_packed {
     svo_limit_allocator memory; /* everything below is charged to it; the struct itself comes from its parent */
     svo_view view;
-    svo_buffer words[SVO_MAX_DEPTH], bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
+    svo_buffer words[SVO_MAX_DEPTH], tree, bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
         payload[SVO_MAX_CHANNELS];
     svo_buffer best_stream, best_levels, best_codes; /* layout best */
 };
@@ -173,6 +173,9 @@ svo_result svoi_layout_plain(svo_packed *p, svoi_nodes *levels, svoi_bricks *bri
 
 /* Layout 3 from the same; needs brick_level >= 1. `mirrors`: no other symmetries. */
 svo_result svoi_layout_best(svo_packed *p, svoi_nodes *levels, svoi_bricks *bricks, bool mirrors, uint32_t threads, svo_error *err);
+
+/* Layout 2 ("fast") from the same, on `threads` threads; brick_level must not be 0. */
+svo_result svoi_layout_fast(svo_packed *p, svoi_nodes *nodes, svoi_bricks *bricks, uint32_t threads, svo_error *err);
 
 /* Quantise and encode one channel into the packed view; frees the values. */
 svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,

@@ -11,6 +11,7 @@ import struct
 import sys
 
 import svdag_best
+import svdag_fast
 
 STRIDE = {1: 3, 2: 4, 3: 1, 4: 2, 5: 4}
 
@@ -48,6 +49,8 @@ class Svdag:
         if not self.empty:
             if self.layout == 3:
                 levels, code, tree = self._take(b"LVLS", 0), self._take(b"CODE", 0), self._take(b"TREE", 0)
+            if self.layout == 2:
+                code, tree = self._take(b"CODE", 0), self._take(b"TREE", 0)
             for level in range(self.T - 2 if self.layout == 1 else 0):
                 body = self._take(b"NODE", level)
                 ow, zero, count = struct.unpack("<IIQ", body[:16])
@@ -56,7 +59,9 @@ class Svdag:
             body = self._take(b"BRCK", 0)
             self.bricks = struct.unpack("<%dQ" % (len(body) // 8), body)
             if self.layout == 3:
-                self.best = svdag_best.Best(levels, code, tree, self.bricks, self)
+                self.coded = svdag_best.Best(levels, code, tree, self.bricks, self)
+            if self.layout == 2:
+                self.coded = svdag_fast.Fast(code, tree, self.bricks, self)
         for number, c in enumerate(self.channels):
             if c.encoding == 1:
                 c.raw = self._take(b"ARAW", number)
@@ -94,7 +99,7 @@ class Svdag:
 
     def _head(self, h):
         self.depth, self.layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
-        need(self.layout in (1, 3) and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
+        need(self.layout in (1, 2, 3) and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
         self.T, self.lod, self.unnumbered = max(self.depth, 2), flags & 1 == 1, flags & 2 == 2
         self.voxel_to_world = struct.unpack("<16d", h[16:144])
         self.A, self.root, zero = struct.unpack("<QII", h[144:160])
@@ -107,15 +112,15 @@ class Svdag:
     # --- geometry ---
 
     def _root(self):
-        return self.best.root if self.layout == 3 else self.root
+        return self.coded.root if self.layout != 1 else self.root
 
     def _brick(self, ref):
-        return ref if self.layout == 3 else self.bricks[ref]
+        return ref if self.layout != 1 else self.bricks[ref]
 
     def _children(self, level, ref, index):
         """(octant, reference, attribute index) of a node above the bricks."""
-        if self.layout == 3:
-            yield from self.best.children(level, ref, index)
+        if self.layout != 1:
+            yield from self.coded.children(level, ref, index)
             return
         ow, _, words = self.levels[level]
         mask, full = words[ref] & 255, words[ref] >> 8

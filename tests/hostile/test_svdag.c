@@ -87,6 +87,11 @@ TEST(damaged_layout_3_without_channels) { run(6, 0, true, SVO_GEOMETRY_BEST, 0);
 TEST(damaged_layout_3_of_one_block) { run(3, 2, true, SVO_GEOMETRY_SYMMETRIC, 0); }
 TEST(damaged_layout_3_of_a_deep_tree) { run(21, 2, true, SVO_GEOMETRY_BEST, 0); }
 TEST(damaged_layout_3_without_lod) { run(7, 1, false, SVO_GEOMETRY_BEST, 300); }
+TEST(damaged_layout_2_without_channels) { run(6, 0, true, SVO_GEOMETRY_FAST, 0); }
+TEST(damaged_layout_2_of_one_block) { run(3, 2, true, SVO_GEOMETRY_FAST, 0); }
+TEST(damaged_layout_2_of_a_deep_tree) { run(21, 2, true, SVO_GEOMETRY_FAST, 0); }
+TEST(damaged_layout_2_without_lod) { run(7, 1, false, SVO_GEOMETRY_FAST, 300); }
+TEST(damaged_layout_2_with_all_channels) { run(8, 1, true, SVO_GEOMETRY_FAST, 300); }
 
 /* A field of a payload changed and the hashes made right again: each rule has its own message. */
 typedef struct edit { uint32_t type; uint64_t offset; uint8_t mask; const char *rule; } edit;
@@ -101,7 +106,7 @@ TEST(each_rule)
         for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= 3;
     }
     svo_error err = {0};
-    svo_dag_options o = {.lod = true, .threads = 1};
+    svo_dag_options o = {.geometry = SVO_GEOMETRY_SVDAG, .lod = true, .threads = 1};
     svo_dag_builder *b;
     svo_packed *p;
     CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));

@@ -154,6 +154,7 @@ TEST(every_node_at_every_depth)
                 tree t;
                 tree_random(&t, depths[d], style, &seed);
                 svo_dag_options o = svo_default_dag_options();
+                o.geometry = SVO_GEOMETRY_SVDAG; /* whose arrays are compared below; test_fast compares the layouts */
                 o.lod = lod != 0;
                 o.threads = 2;
                 svo_dag_report report;
@@ -215,6 +216,7 @@ TEST(solid_checkerboard_and_empty)
             }
             t.count = n;
             svo_dag_options o = svo_default_dag_options();
+            o.geometry = SVO_GEOMETRY_SVDAG; /* whose arrays are compared below; test_fast compares the layouts */
             svo_packed *p = build(&t, &o, NULL);
             if (p == NULL) return;
             const svo_view *v = svo_packed_view(p);
@@ -254,7 +256,7 @@ TEST(solid_block_of_many_chunks)
     svo_error err = {0};
     svo_tree_info info = {.depth = 9, .voxel_to_world = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}};
     for (int lod = 0; lod < 2; lod++) {
-        svo_dag_options o = {.lod = lod != 0};
+        svo_dag_options o = {.geometry = SVO_GEOMETRY_SVDAG, .lod = lod != 0};
         svo_dag_builder *b;
         svo_packed *p;
         CHECK_OK(svo_dag_builder_create(&info, &o, &b, &err));

@@ -1,0 +1,11 @@
+/* Internal to libsvo: the parts of validation that belong to one layout, and their bounds. Not installed. */
+#ifndef SVOI_VIEW_H
+#define SVOI_VIEW_H
+
+#include "svo_view.h"
+
+/* Geometry of layout 2, where the octree is not empty: every rule, and that `nodes` and attribute_count are right. */
+svo_result svoi_fast_validate(const svo_view *v, const svo_allocator *a, svo_error *err);
+svo_result svoi_fast_bounds(const svo_view *v, const svo_allocator *a, uint32_t low[3], uint32_t high[3], svo_error *err);
+
+#endif
