@@ -26,13 +26,7 @@ static void check_equal(const svo_view *a, const svo_view *b)
     CHECK_U64(a->attribute_count, b->attribute_count);
     CHECK(memcmp(a->nodes, b->nodes, sizeof a->nodes) == 0);
     CHECK(memcmp(a->voxel_to_world, b->voxel_to_world, sizeof a->voxel_to_world) == 0);
-    CHECK_U64(a->brick_count, b->brick_count);
-    CHECK(a->empty || memcmp(a->bricks, b->bricks, 8 * a->brick_count) == 0);
-    for (uint32_t l = 0; l < a->brick_level && !a->empty; l++) {
-        const svo_view_level *x = &a->levels[l], *y = &b->levels[l];
-        CHECK(x->word_count == y->word_count && x->node_count == y->node_count && x->offset_words == y->offset_words);
-        CHECK(memcmp(x->words, y->words, 4 * x->word_count) == 0);
-    }
+    CHECK(a->layout == b->layout && svo_view_compare_geometry(a, b) == 0);
     for (uint32_t c = 0; c < a->channel_count; c++) {
         CHECK(a->channels[c].encoding == b->channels[c].encoding);
         CHECK(memcmp(&a->channels[c].channel, &b->channels[c].channel, sizeof(svo_channel)) == 0);
