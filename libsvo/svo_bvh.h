@@ -55,6 +55,8 @@ typedef struct svo_scene_hit {
  * hierarchy. Batches as in svo_raycast. Any number of threads at once. */
 void svo_scene_trace(const svo_bvh *bvh, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits);
 bool svo_scene_blocked(const svo_bvh *bvh, const svo_scene_ray *ray);
+/* The same for many rays, which costs less a ray: blocked[i] belongs to rays[i]. */
+void svo_scene_blocked_many(const svo_bvh *bvh, const svo_scene_ray *rays, uint32_t count, bool *blocked);
 
 /* What a hit's item number stands for: the instance as placed, and its octree. item < the number of placed instances;
  * both belong to the hierarchy (the view to its scene). */

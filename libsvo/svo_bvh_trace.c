@@ -128,10 +128,17 @@ void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count
     }
 }
 
-bool svo_scene_blocked(const svo_bvh *b, const svo_scene_ray *ray)
+void svo_scene_blocked_many(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, bool *blocked)
 {
     svo_scene_hit unused;
     svoi_ray_cache cache;
-    svoi_ray_cache_init(&cache, 1);
-    return traverse(b, &cache, ray, true, &unused);
+    svoi_ray_cache_init(&cache, count);
+    for (uint32_t i = 0; i < count; i++) blocked[i] = traverse(b, &cache, &rays[i], true, &unused);
+}
+
+bool svo_scene_blocked(const svo_bvh *b, const svo_scene_ray *ray)
+{
+    bool blocked;
+    svo_scene_blocked_many(b, ray, 1, &blocked);
+    return blocked;
 }

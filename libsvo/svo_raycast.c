@@ -3,8 +3,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "svoi_fast.h"
-
 /* The kernel walks cells front to back (after Laine and Karras 2010): the current cell is a child slot of the node `ref` of
  * some level; a filled slot is entered, an empty one is left through its nearest far plane. Positions are integers, so
  * the ancestor to return to is known from the highest bit that a step changes. The last two levels are one 64-bit brick
@@ -202,7 +200,7 @@ static bool walk_brick_lod(const line *l, uint64_t brick, const int32_t p[3], do
     return false;
 }
 
-/* A node on the way down: where it is stored, its children in the world with the full leaves among them in bits 8..15. */
+/* A node on the way down: where it is stored (layout fast: its slot in the memory), its children in the world with the full leaves among them in bits 8..15. */
 typedef struct spot {
     uint64_t at;
     uint32_t mask, turn;
@@ -241,11 +239,16 @@ INLINE uint64_t cached_child(svoi_ray_cache *c, const svoi_best *b, uint32_t lev
 
 /* The same as svo_view_mask and svo_view_child, without attributes. A child at the bricks' level is the brick itself.
  * `layout` is a constant of the callers. */
-INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64_t at, uint32_t turn)
+INLINE spot spot_of(const svo_view *v, svoi_ray_cache *c, svo_layout layout, uint32_t level, uint64_t at, uint32_t turn)
 {
     spot s = {at, 0, turn};
-    if (layout == SVO_LAYOUT_FAST) s.mask = svo_view_fast_mask(v, level, (svo_view_node){.at = at, .symmetry = turn});
-    else if (layout == SVO_LAYOUT_BEST && !v->best->solid) s.mask = svoi_turn_mask(turn, (uint32_t)(at >> 56));
+    if (layout == SVO_LAYOUT_FAST && level + 1 == v->brick_level) {
+        s.at = svoi_keep_block(&c->fast, v, at, turn);
+        s.mask = c->fast.block[s.at].mask;
+    } else if (layout == SVO_LAYOUT_FAST) {
+        s.at = svoi_keep_node(&c->fast, v, level, at, turn);
+        s.mask = c->fast.node[s.at].mask;
+    } else if (layout == SVO_LAYOUT_BEST && !v->best->solid) s.mask = svoi_turn_mask(turn, (uint32_t)(at >> 56));
     else if (layout == SVO_LAYOUT_BEST) s.mask = svo_view_best_mask(v, (svo_view_node){.at = at, .symmetry = turn});
     else s.mask = v->levels[level].words[at];
     return s;
@@ -253,17 +256,9 @@ INLINE spot spot_of(const svo_view *v, svo_layout layout, uint32_t level, uint64
 
 INLINE uint64_t spot_child(const svo_view *v, svoi_ray_cache *c, svo_layout layout, uint32_t level, spot s, uint32_t octant, uint32_t *turn)
 {
-    if (layout == SVO_LAYOUT_FAST) {
-        uint32_t stored = svoi_turn_octant(s.turn, octant), change;
-        *turn = s.turn;
-        if (level + 1 != v->brick_level) {
-            svoi_fast_node n = svoi_fast_open(v, level, s.at);
-            return svoi_fast_find(v, level, &n, svoi_fast_slot(n.refs, stored), turn);
-        }
-        svoi_fast_block b = svoi_fast_open_block(v, s.at);
-        uint64_t brick = svoi_fast_brick(v, &b, svoi_fast_slot(b.refs, stored), &change);
-        return svoi_turn_brick(svoi_turn_inverse(svoi_turn_after(change, s.turn)), brick);
-    }
+    if (layout == SVO_LAYOUT_FAST)
+        return level + 1 == v->brick_level ? svoi_kept_brick(&c->fast, v, (uint32_t)s.at, octant)
+                                           : svoi_kept_child(&c->fast, v, level, (uint32_t)s.at, octant, turn);
     if (layout == SVO_LAYOUT_BEST) {
         uint32_t stored = svoi_turn_octant(svoi_turn_inverse(s.turn), octant), change;
         if (level + 1 == v->brick_level) {
@@ -343,7 +338,7 @@ INLINE bool trace(const svo_view *v, svoi_ray_cache *c, const line *l, bool lod,
                 /* go down: the child that holds the ray at t */
                 if (child_level != 0) stack[level] = node;
                 level = child_level;
-                node = spot_of(v, layout, level, child, turn);
+                node = spot_of(v, c, layout, level, child, turn);
                 size >>= 1;
                 double cx = ((double)(p[0] + size) - ox) * ix, cy = ((double)(p[1] + size) - oy) * iy,
                        cz = ((double)(p[2] + size) - oz) * iz;
@@ -386,6 +381,7 @@ static bool find(const svo_view *v, svoi_ray_cache *c, const svo_ray *ray, line 
 {
     if (!make_line(v, ray, l)) return false;
     bool lod = l->spread > 0 || l->offset > 0;
+    if (v->layout == SVO_LAYOUT_FAST && !c->fast.ready) svoi_kept_clear(&c->fast);
     if (v->layout == SVO_LAYOUT_FAST) return lod ? trace(v, c, l, true, SVO_LAYOUT_FAST, found) : trace(v, c, l, false, SVO_LAYOUT_FAST, found);
     if (v->layout == SVO_LAYOUT_BEST) return lod ? trace(v, c, l, true, SVO_LAYOUT_BEST, found) : trace(v, c, l, false, SVO_LAYOUT_BEST, found);
     return lod ? trace(v, c, l, true, SVO_LAYOUT_PLAIN, found) : trace(v, c, l, false, SVO_LAYOUT_PLAIN, found);
@@ -405,8 +401,32 @@ bool svo_ray_blocked(const svo_view *view, const svo_ray *ray)
     return svoi_ray_blocked(view, &cache, ray);
 }
 
+/* Node of level min(tree_level, brick_level) that holds a place of layout fast, which a ray has just met. */
+static svo_view_node fast_node_at(const svo_view *v, svoi_kept *k, const place *at)
+{
+    svo_view_node node = svo_view_root(v);
+    uint32_t bit = v->tree_depth - 1;
+    uint32_t x = (uint32_t)at->corner[0], y = (uint32_t)at->corner[1], z = (uint32_t)at->corner[2];
+    for (uint32_t level = 0; level < v->brick_level && level < at->tree_level; level++, bit--) {
+        uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2, slot;
+        if (level + 1 == v->brick_level) {
+            slot = svoi_keep_block(k, v, node.at, node.symmetry);
+            node.attribute += svoi_kept_block_before(k, v, slot, octant);
+            node.full = k->block[slot].mask >> 8 >> octant & 1;
+            if (!node.full) node.at = svoi_kept_brick(k, v, slot, octant);
+        } else {
+            slot = svoi_keep_node(k, v, level, node.at, node.symmetry);
+            node.attribute += svoi_kept_before(k, v, level, slot, octant);
+            node.full = k->node[slot].mask >> 8 >> octant & 1;
+            if (!node.full) node.at = svoi_kept_child(k, v, level, slot, octant, &node.symmetry);
+        }
+        if (node.full) break;
+    }
+    return node;
+}
+
 /* Attribute index of a node that is known to exist. */
-static uint64_t attribute_of(const svo_view *v, const place *at)
+static uint64_t attribute_of(const svo_view *v, svoi_ray_cache *c, const place *at)
 {
     if (v->unnumbered) return 0;
     if (v->layout == SVO_LAYOUT_BEST && at->tree_level == v->tree_depth) {
@@ -415,11 +435,14 @@ static uint64_t attribute_of(const svo_view *v, const place *at)
         return index;
     }
     svo_view_node node = svo_view_root(v);
-    uint32_t bit = v->tree_depth - 1, level = 0;
     uint32_t x = (uint32_t)at->corner[0], y = (uint32_t)at->corner[1], z = (uint32_t)at->corner[2];
-    for (; level < v->brick_level && level < at->tree_level; level++, bit--)
-        node = svo_view_child(v, level, node, (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2);
-    if (level == at->tree_level) return node.attribute;
+    if (v->layout == SVO_LAYOUT_FAST) node = fast_node_at(v, &c->fast, at);
+    else {
+        uint32_t bit = v->tree_depth - 1, level = 0;
+        for (; level < v->brick_level && level < at->tree_level; level++, bit--)
+            node = svo_view_child(v, level, node, (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2);
+    }
+    if (at->tree_level <= v->brick_level) return node.attribute;
     uint64_t brick = svo_view_brick(v, node);
     uint32_t a = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2, b = (x & 1) | (y & 1) << 1 | (z & 1) << 2;
     if (at->tree_level == v->tree_depth) return svo_view_brick_voxel(v, node, brick, 8 * a + b);
@@ -455,7 +478,7 @@ void svoi_raycast(const svo_view *view, svoi_ray_cache *cache, const svo_ray *ra
         hit->t = (enter + l.base) * l.unit;
         hit->face = (uint8_t)face;
         hit->level = (uint8_t)(view->depth - above);
-        hit->attribute = attribute_of(view, &at);
+        hit->attribute = attribute_of(view, cache, &at);
     }
 }
 

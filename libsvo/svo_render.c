@@ -150,7 +150,7 @@ enum { TILE = 16, TILE_PIXELS = TILE * TILE };
 
 /* What one thread needs; results are sums and extremes, the same for every division of work but for the seconds. */
 typedef struct worker {
-    svo_scene_ray rays[TILE_PIXELS];
+    svo_scene_ray rays[TILE_PIXELS], shadow_rays[TILE_PIXELS];
     svo_scene_hit hits[TILE_PIXELS];
     float sum[TILE_PIXELS][4]; /* linear light times coverage, and coverage */
     svo_vec3 normals[TILE_PIXELS];
@@ -256,15 +256,22 @@ static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, 
     }
     double t2 = thread_seconds();
     if (o->shadows) {
+        uint32_t pixel[TILE_PIXELS], shadows = 0;
+        bool blocked[TILE_PIXELS];
         for (uint32_t i = 0; i < count; i++) {
             if (!(direct[i] > 0)) continue;
             svo_scene_ray shadow = {.direction = r->light, .t_min = 0, .t_max = INFINITY};
             shadow.origin = svo_render_shadow_origin(r->bvh, &w->hits[i], w->normals[i]);
             shadow.offset = w->rays[i].spread * w->hits[i].node.t; /* nodes that look no larger than a sample from the eye */
-            w->stats.shadow++;
-            if (!svo_scene_blocked(r->bvh, &shadow)) continue;
+            pixel[shadows] = i;
+            w->shadow_rays[shadows++] = shadow;
+        }
+        svo_scene_blocked_many(r->bvh, w->shadow_rays, shadows, blocked);
+        w->stats.shadow += shadows;
+        for (uint32_t i = 0; i < shadows; i++) {
+            if (!blocked[i]) continue;
             w->stats.blocked++;
-            direct[i] = 0;
+            direct[pixel[i]] = 0;
         }
     }
     double t3 = thread_seconds();

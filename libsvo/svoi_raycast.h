@@ -4,9 +4,10 @@
 
 #include "svo_raycast.h"
 #include "svoi_best.h"
+#include "svoi_ray_fast.h"
 
-/* Nodes and blocks of layout best that rays met last, decoded: neighbouring rays meet the same ones, so that most steps are
- * a look into an array. For one thread and for as long as the views live. Other layouts do not use it. */
+/* Nodes and blocks of layouts fast and best that rays met last, decoded: neighbouring rays meet the same ones, so that most
+ * steps are a look into an array. For one thread and for as long as the views live. Layout plain does not use it. */
 enum { SVOI_CACHE_BITS = 7, SVOI_CACHE_SMALL_BITS = 3 };
 
 typedef struct svoi_cached_node {
@@ -26,6 +27,7 @@ typedef struct svoi_ray_cache {
     svoi_cache_key node_key[1 << SVOI_CACHE_BITS], block_key[1 << SVOI_CACHE_BITS];
     svoi_cached_node node[1 << SVOI_CACHE_BITS];
     svoi_best_block block[1 << SVOI_CACHE_BITS];
+    svoi_kept fast;
 } svoi_ray_cache;
 
 static inline void svoi_ray_cache_init(svoi_ray_cache *c, uint64_t rays)
@@ -33,6 +35,8 @@ static inline void svoi_ray_cache_init(svoi_ray_cache *c, uint64_t rays)
     c->bits = rays < 16 ? SVOI_CACHE_SMALL_BITS : SVOI_CACHE_BITS;
     memset(c->node_key, 0, sizeof *c->node_key << c->bits);
     memset(c->block_key, 0, sizeof *c->block_key << c->bits);
+    c->fast.ready = false; /* cleared by the first ray that needs it */
+    c->fast.few = rays < 16;
 }
 
 /* As svo_raycast and svo_ray_blocked. */

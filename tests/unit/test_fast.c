@@ -7,6 +7,7 @@
 #include "svo_morton.h"
 #include "svo_raycast.h"
 #include "svo_unpack.h"
+#include "svoi_raycast.h"
 #include "svoi_symmetry.h"
 #include "test.h"
 #include "trees.h"
@@ -52,22 +53,65 @@ static uint64_t same_nodes(const svo_view *a, const svo_view *b, uint32_t level,
     return n;
 }
 
+static void same_hit(const svo_hit *x, const svo_hit *y)
+{
+    CHECK(x->hit == y->hit);
+    if (x->hit)
+        CHECK(x->t == y->t && x->attribute == y->attribute && x->level == y->level && x->face == y->face && memcmp(x->cell, y->cell, sizeof x->cell) == 0);
+}
+
+/* One by one, in a batch, and both octrees in turn with one memory of what was decoded. Every fourth ray begins a group of
+ * neighbours. */
 static void same_rays(const svo_view *a, const svo_view *b, uint64_t *seed)
 {
+    enum { RAYS = 200 };
+    svo_ray rays[RAYS];
+    svo_hit batch[RAYS];
+    static svoi_ray_cache cache; /* large */
     double side = (double)((uint64_t)1 << a->depth);
-    for (int i = 0; i < 200; i++) {
+    for (int i = 0; i < RAYS; i++) {
         svo_ray r = {.t_max = i % 5 == 0 ? side : 10 * side, .spread = i % 3 == 0 ? 0.02 : 0, .offset = i % 7 == 0 ? 2 : 0};
         for (int k = 0; k < 3; k++) {
-            r.origin[k] = side * ((double)(test_random(seed) % 3000) / 1000 - 1);
+            r.origin[k] = i % 4 != 0 ? rays[i - 1].origin[k] : side * ((double)(test_random(seed) % 3000) / 1000 - 1);
             r.direction[k] = side * (double)(test_random(seed) % 1000) / 1000 - r.origin[k];
+            if (i % 4 != 0) r.direction[k] = rays[i - 1].direction[k] + (double)(test_random(seed) % 5) - 2;
             if (i % 11 == k) r.direction[k] = 0;
         }
+        rays[i] = r;
+    }
+    svo_raycast(b, rays, RAYS, batch);
+    svoi_ray_cache_init(&cache, RAYS);
+    for (int i = 0; i < RAYS && !test_failed(); i++) {
         svo_hit x, y;
-        svo_raycast(a, &r, 1, &x);
-        svo_raycast(b, &r, 1, &y);
-        CHECK(x.hit == y.hit && x.hit == svo_ray_blocked(b, &r));
-        if (x.hit)
-            CHECK(x.t == y.t && x.attribute == y.attribute && x.level == y.level && x.face == y.face && memcmp(x.cell, y.cell, sizeof x.cell) == 0);
+        svo_raycast(a, &rays[i], 1, &x);
+        svo_raycast(b, &rays[i], 1, &y);
+        same_hit(&x, &y);
+        same_hit(&x, &batch[i]);
+        svoi_raycast(i % 3 == 0 ? a : b, &cache, &rays[i], 1, &y);
+        same_hit(&x, &y);
+        CHECK(x.hit == svo_ray_blocked(b, &rays[i]) && x.hit == svoi_ray_blocked(b, &cache, &rays[i]));
+    }
+}
+
+/* Two octrees of this layout that are met in turn with one memory. */
+static void same_rays_of_two(const svo_view *a, const svo_view *b)
+{
+    static svoi_ray_cache cache;
+    uint64_t seed = 23;
+    double side = (double)((uint64_t)1 << a->depth);
+    svoi_ray_cache_init(&cache, 1000);
+    for (int i = 0; i < 500 && !test_failed(); i++) {
+        svo_ray r = {.t_max = 10 * side};
+        for (int k = 0; k < 3; k++) {
+            r.origin[k] = side * (test_random_unit(&seed) * 3 - 1);
+            r.direction[k] = side * test_random_unit(&seed) - r.origin[k];
+        }
+        for (int k = 0; k < 2; k++) {
+            svo_hit x, y;
+            svo_raycast(k == 0 ? a : b, &r, 1, &x);
+            svoi_raycast(k == 0 ? a : b, &cache, &r, 1, &y);
+            same_hit(&x, &y);
+        }
     }
 }
 
@@ -89,6 +133,7 @@ static void same_places(const svo_view *a, const svo_view *b, const tree *t, uin
 /* Both layouts of a tree, with and without attributes of inner nodes. */
 static void compare(const tree *t)
 {
+    svo_packed *both[2] = {NULL, NULL};
     for (int lod = 0; lod < 2 && !test_failed(); lod++) {
         uint64_t seed = 17;
         svo_error err = {0};
@@ -122,8 +167,11 @@ static void compare(const tree *t)
         for (uint32_t c = 0; c < t->info.channel_count; c++) left_out |= info.channels[c].constant != t->info.channels[c].constant;
         if (!left_out) tree_check(t, &info, svo_unpack_source(&u));
         svo_packed_free(plain);
-        svo_packed_free(fast);
+        both[lod] = fast;
     }
+    if (!test_failed()) same_rays_of_two(svo_packed_view(both[0]), svo_packed_view(both[1]));
+    svo_packed_free(both[0]);
+    svo_packed_free(both[1]);
 }
 
 TEST(random_trees)
