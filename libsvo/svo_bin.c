@@ -331,36 +331,11 @@ void svo_bins_record(const svo_bins *b, uint32_t triangle, svo_record *out)
     for (int k = 0; k < 3; k++) svo_grid_snap(&b->grid, v[k], out->q[k]);
 }
 
-/* Octants of a node (low corner `corner`, children of size `size`, lattice units) that a triangle may meet. */
 static uint8_t octants(const int32_t q[3][3], const int32_t corner[3], int32_t size)
 {
-    /* by axis and half: the octants on that side */
-    static const uint8_t below[3] = {0x55, 0x33, 0x0f}, above[3] = {0xaa, 0xcc, 0xf0};
-    uint8_t mask = 0xff;
-    int32_t extent = 0;
-    for (int k = 0; k < 3; k++) {
-        int32_t a = q[0][k], b = q[1][k], c = q[2][k];
-        int32_t low = a < b ? a : b, high = a < b ? b : a;
-        if (c < low) low = c;
-        if (c > high) high = c;
-        /* vertices are odd, planes between nodes even: never equal */
-        int32_t middle = corner[k] + size;
-        if (low > middle) mask &= above[k];
-        if (high < middle) mask &= below[k];
-        if (high - low > extent) extent = high - low;
-    }
-    if ((mask & (mask - 1)) == 0 || extent < size / 4) return mask;
-    /* A large triangle: without this test it would reach 8^k nodes instead of about 4^k. */
-    for (uint32_t i = 0; i < 8; i++) {
-        if (!(mask >> i & 1)) continue;
-        int32_t lo[3], hi[3];
-        for (uint32_t k = 0; k < 3; k++) {
-            lo[k] = corner[k] + (i >> k & 1 ? size : 0);
-            hi[k] = lo[k] + size;
-        }
-        if (!svo_raster_box(q, lo, hi)) mask &= (uint8_t)~(1u << i);
-    }
-    return mask;
+    int32_t low[3], high[3];
+    svo_raster_bounds(q, low, high);
+    return svo_raster_octants(q, low, high, corner, size);
 }
 
 /* Children of a node that hold wanted codes. */

@@ -5,7 +5,7 @@
 #include "svo_soup.h"
 #include "svo_task.h"
 
-enum { AT_A_TIME = 1024, MAX_WORKERS = 256 };
+enum { MAX_WORKERS = 256 };
 
 typedef struct area_job {
     const svo_part *part;
@@ -34,25 +34,20 @@ static svo_result resident_area(void *user, uint64_t begin, uint64_t end, uint32
     return SVO_OK;
 }
 
+typedef struct spilled_sum { const area_job *job; double sum; } spilled_sum;
+
+static void add_area(void *user, const double c[9])
+{
+    spilled_sum *s = user;
+    s->sum += triangle_area(s->job, c);
+}
+
 static svo_result spilled_area(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     area_job *job = user;
-    const struct svo_soup *soup = job->part->soup;
-    const svo_soup_piece *pieces = (const svo_soup_piece *)(const void *)soup->pieces.data;
-    uint8_t *records = svo_alloc(NULL, AT_A_TIME, soup->layout.stride);
-    if (records == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-    svo_result r = SVO_OK;
-    for (uint64_t p = begin; r == SVO_OK && p < end; p++)
-        for (uint64_t first = 0; r == SVO_OK && first < pieces[p].count; first += AT_A_TIME) {
-            uint64_t n = pieces[p].count - first < AT_A_TIME ? pieces[p].count - first : AT_A_TIME;
-            r = svo_soup_read(soup, &pieces[p], first, n, records, err);
-            for (uint64_t i = 0; r == SVO_OK && i < n; i++) {
-                double c[9];
-                svo_soup_corners(&soup->layout, records + i * soup->layout.stride, c);
-                job->sum[worker] += triangle_area(job, c);
-            }
-        }
-    svo_free(NULL, records, AT_A_TIME, soup->layout.stride);
+    spilled_sum s = {job, 0};
+    svo_result r = svo_soup_triangles(job->part->soup, begin, end, add_area, &s, err);
+    job->sum[worker] += s.sum;
     return r;
 }
 

@@ -375,7 +375,7 @@ static svo_result make_pool(writer *w, uint32_t level, svo_error *err)
         w->place[level][w->pool[level][i]] = (uint32_t)at;
         at += (node_bits(w, level, w->pool[level][i]) + 7) / 8;
     }
-    f->end = at * 8; /* from the begin of the pool for now */
+    f->end = at * 8; /* counted from the begin of the pool; the caller adds where that lies */
     return SVO_OK;
 }
 

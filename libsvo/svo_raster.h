@@ -45,6 +45,46 @@ void svo_raster_scan(const int32_t q[3][3], const svo_raster_target *target, con
 /* Does the closed triangle meet the closed box [lo, hi]? Any integers below 2^30 in magnitude. Exact. */
 bool svo_raster_box(const int32_t q[3][3], const int32_t lo[3], const int32_t hi[3]);
 
+/* Bounds of a triangle. */
+static inline void svo_raster_bounds(const int32_t q[3][3], int32_t low[3], int32_t high[3])
+{
+    for (int k = 0; k < 3; k++) {
+        int32_t a = q[0][k], b = q[1][k], c = q[2][k];
+        low[k] = a < b ? a : b;
+        high[k] = a < b ? b : a;
+        if (c < low[k]) low[k] = c;
+        if (c > high[k]) high[k] = c;
+    }
+}
+
+/* Octants of a node (low corner `corner`, children of `size`, lattice units; planes between children are even, vertices odd, so they never
+ * meet) that a triangle with these bounds may meet, as bits. Exact for triangles from a quarter of a child on: without that a large triangle
+ * would reach 8^k nodes k levels down instead of about 4^k. Every walk that hands triangles to subtrees must use this one rule. */
+static inline uint8_t svo_raster_octants(const int32_t q[3][3], const int32_t low[3], const int32_t high[3], const int32_t corner[3], int32_t size)
+{
+    /* by axis and half: the octants on that side */
+    static const uint8_t below[3] = {0x55, 0x33, 0x0f}, above[3] = {0xaa, 0xcc, 0xf0};
+    uint8_t mask = 0xff;
+    int32_t extent = 0;
+    for (int k = 0; k < 3; k++) {
+        int32_t middle = corner[k] + size;
+        if (low[k] > middle) mask &= above[k];
+        if (high[k] < middle) mask &= below[k];
+        if (high[k] - low[k] > extent) extent = high[k] - low[k];
+    }
+    if ((mask & (mask - 1)) == 0 || extent < size / 4) return mask;
+    for (uint32_t i = 0; i < 8; i++) {
+        if (!(mask >> i & 1)) continue;
+        int32_t lo[3], hi[3];
+        for (uint32_t k = 0; k < 3; k++) {
+            lo[k] = corner[k] + (i >> k & 1 ? size : 0);
+            hi[k] = lo[k] + size;
+        }
+        if (!svo_raster_box(q, lo, hi)) mask &= (uint8_t)~(1u << i);
+    }
+    return mask;
+}
+
 #ifdef __cplusplus
 }
 #endif

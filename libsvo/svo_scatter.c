@@ -134,45 +134,15 @@ static svo_result produce(void *user, void *slot, bool *more, svo_error *err)
     return SVO_OK;
 }
 
-/* Octants of a node that a triangle may meet; the same rule as in memory (svo_bin.c). */
-static uint8_t octants(const int32_t q[3][3], const int32_t low[3], const int32_t high[3], int32_t extent, const int32_t corner[3], int32_t size)
-{
-    static const uint8_t below[3] = {0x55, 0x33, 0x0f}, above[3] = {0xaa, 0xcc, 0xf0};
-    uint8_t mask = 0xff;
-    for (int k = 0; k < 3; k++) {
-        int32_t middle = corner[k] + size;
-        if (low[k] > middle) mask &= above[k];
-        if (high[k] < middle) mask &= below[k];
-    }
-    if ((mask & (mask - 1)) == 0 || extent < size / 4) return mask;
-    for (uint32_t i = 0; i < 8; i++) {
-        if (!(mask >> i & 1)) continue;
-        int32_t lo[3], hi[3];
-        for (uint32_t k = 0; k < 3; k++) {
-            lo[k] = corner[k] + (i >> k & 1 ? size : 0);
-            hi[k] = lo[k] + size;
-        }
-        if (!svo_raster_box(q, lo, hi)) mask &= (uint8_t)~(1u << i);
-    }
-    return mask;
-}
-
 /* Numbers of the cells that a triangle meets, ascending, in place of what `cells` held. */
 static bool find_cells(const reading *d, const int32_t q[3][3], svo_buffer *cells)
 {
     const uint32_t depth = d->plan->grid.depth, cell_level = d->plan->unit_level - d->levels;
     const uint32_t bits = depth + 8 - cell_level; /* of a cell's edge, in lattice units */
-    int32_t low[3], high[3], extent = 0;
+    int32_t low[3], high[3];
     bool one = true;
-    for (int k = 0; k < 3; k++) {
-        low[k] = high[k] = q[0][k];
-        for (int c = 1; c < 3; c++) {
-            if (q[c][k] < low[k]) low[k] = q[c][k];
-            if (q[c][k] > high[k]) high[k] = q[c][k];
-        }
-        if (high[k] - low[k] > extent) extent = high[k] - low[k];
-        one &= low[k] >> bits == high[k] >> bits;
-    }
+    svo_raster_bounds(q, low, high);
+    for (int k = 0; k < 3; k++) one &= low[k] >> bits == high[k] >> bits;
     cells->size = 0;
     if (one) {
         uint64_t code = svo_morton_encode((uint32_t)(low[0] >> bits), (uint32_t)(low[1] >> bits), (uint32_t)(low[2] >> bits));
@@ -195,7 +165,7 @@ static bool find_cells(const reading *d, const int32_t q[3][3], svo_buffer *cell
         svo_morton_decode(code, &x, &y, &z);
         int32_t size = (int32_t)1 << (depth + 8 - level - 1);
         int32_t corner[3] = {(int32_t)x * 2 * size, (int32_t)y * 2 * size, (int32_t)z * 2 * size};
-        uint8_t mask = octants(q, low, high, extent, corner, size);
+        uint8_t mask = svo_raster_octants(q, low, high, corner, size);
         for (uint32_t i = 8; i-- > 0;) {
             uint64_t child = code * 8 + i, begin = child << shift, end = (child + 1) << shift;
             if (!(mask >> i & 1) || begin >= d->base + d->count || end <= d->base) continue;

@@ -137,3 +137,25 @@ svo_result svo_soup_read(const struct svo_soup *s, const svo_soup_piece *piece, 
     SVO_ASSERT(first <= piece->count && count <= piece->count - first);
     return svo_spill_read(&s->file->file, piece->offset + first * s->layout.stride, to, count * s->layout.stride, err);
 }
+
+svo_result svo_soup_triangles(const struct svo_soup *s, uint64_t begin, uint64_t end, svo_soup_triangle_fn fn, void *user, svo_error *err)
+{
+    enum { AT_A_TIME = 1024 };
+    const svo_soup_piece *pieces = (const svo_soup_piece *)(const void *)s->pieces.data;
+    const uint32_t stride = s->layout.stride;
+    uint8_t *records = svo_alloc(s->allocator, AT_A_TIME, stride);
+    if (records == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    svo_result r = SVO_OK;
+    for (uint64_t p = begin; r == SVO_OK && p < end; p++)
+        for (uint64_t first = 0; r == SVO_OK && first < pieces[p].count; first += AT_A_TIME) {
+            uint64_t n = pieces[p].count - first < AT_A_TIME ? pieces[p].count - first : AT_A_TIME;
+            r = svo_soup_read(s, &pieces[p], first, n, records, err);
+            for (uint64_t i = 0; r == SVO_OK && i < n; i++) {
+                double corner[9];
+                svo_soup_corners(&s->layout, records + i * stride, corner);
+                fn(user, corner);
+            }
+        }
+    svo_free(s->allocator, records, AT_A_TIME, stride);
+    return r;
+}

@@ -51,6 +51,9 @@ svo_result svo_soup_append(svo_part *part, svo_soup_file *file, const svo_soup_l
 void svo_soup_free(struct svo_soup *s);
 /* Records [first, first + count) of a piece; callable from several threads. */
 svo_result svo_soup_read(const struct svo_soup *s, const svo_soup_piece *piece, uint64_t first, uint64_t count, uint8_t *to, svo_error *err);
+/* Give fn the corners (9 doubles, the part's own coordinates) of every triangle of pieces [begin, end), in order. Callable from several threads. */
+typedef void (*svo_soup_triangle_fn)(void *user, const double corner[9]);
+svo_result svo_soup_triangles(const struct svo_soup *s, uint64_t begin, uint64_t end, svo_soup_triangle_fn fn, void *user, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -5,7 +5,7 @@
 #include "svo_task.h"
 #include "svoi_scatter.h"
 
-enum { AT_A_TIME = 1024, MAX_WORKERS = 256 };
+enum { MAX_WORKERS = 256 };
 
 typedef struct bounds { double low[3], high[3]; } bounds;
 
@@ -29,28 +29,21 @@ static void add(bounds *b, const svo_vec3 v[3])
     }
 }
 
+typedef struct placed_bounds { const svo_mat4 *transform; bounds *of; } placed_bounds;
+
+static void add_corners(void *user, const double c[9])
+{
+    const placed_bounds *b = user;
+    svo_vec3 v[3];
+    for (int k = 0; k < 3; k++) v[k] = svo_mat4_point(b->transform, svo_v3(c[3 * k], c[3 * k + 1], c[3 * k + 2]));
+    add(b->of, (const svo_vec3 *)v);
+}
+
 static svo_result piece_bounds(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     bounds_job *job = user;
-    const struct svo_soup *soup = job->part->soup;
-    const svo_soup_piece *pieces = (const svo_soup_piece *)(const void *)soup->pieces.data;
-    uint8_t *records = svo_alloc(NULL, AT_A_TIME, soup->layout.stride);
-    if (records == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-    svo_result r = SVO_OK;
-    for (uint64_t p = begin; r == SVO_OK && p < end; p++)
-        for (uint64_t first = 0; r == SVO_OK && first < pieces[p].count; first += AT_A_TIME) {
-            uint64_t n = pieces[p].count - first < AT_A_TIME ? pieces[p].count - first : AT_A_TIME;
-            r = svo_soup_read(soup, &pieces[p], first, n, records, err);
-            for (uint64_t i = 0; r == SVO_OK && i < n; i++) {
-                double c[9];
-                svo_vec3 v[3];
-                svo_soup_corners(&soup->layout, records + i * soup->layout.stride, c);
-                for (int k = 0; k < 3; k++) v[k] = svo_mat4_point(job->transform, svo_v3(c[3 * k], c[3 * k + 1], c[3 * k + 2]));
-                add(&job->of[worker], (const svo_vec3 *)v);
-            }
-        }
-    svo_free(NULL, records, AT_A_TIME, soup->layout.stride);
-    return r;
+    placed_bounds b = {job->transform, &job->of[worker]};
+    return svo_soup_triangles(job->part->soup, begin, end, add_corners, &b, err);
 }
 
 static void join(bounds *to, const bounds *from)
