@@ -85,9 +85,11 @@ static svo_result no_reader(const char *path, const uint8_t *bytes, uint64_t siz
     return svo_fail(err, SVO_UNSUPPORTED, "%s: not a mesh format that is known (.gltf .glb .obj .ply .stl .off .drc)", path);
 }
 
-static svo_result make_context(const char *path, const fmt_import_options *o, import_context *c, svo_error *err)
+static svo_result make_context(const char *path, const fmt_import_options *o, import_context *c, svo_buffer *opened, svo_error *err)
 {
     memset(c, 0, sizeof *c);
+    svo_buffer_init(opened, NULL);
+    c->opened = opened;
     c->path = path;
     c->allocator = o->allocator != NULL ? o->allocator : svo_default_allocator();
     c->warnings = o->warnings;
@@ -128,10 +130,12 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
     fmt_import_options defaults = {0};
     import_context *c = svo_alloc(NULL, 1, sizeof *c);
     if (c == NULL) return import_no_memory(err);
-    svo_result r = make_context(path, options != NULL ? options : &defaults, c, err);
+    svo_buffer opened;
+    svo_result r = make_context(path, options != NULL ? options : &defaults, c, &opened, err);
     fmt_bytes bytes = {0};
     if (r == SVO_OK) r = import_open(c, path, &bytes, err);
     if (r != SVO_OK) {
+        import_opened_free(&opened);
         svo_free(NULL, c, 1, sizeof *c);
         return r;
     }
@@ -148,9 +152,10 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
         r = read_model(c, reader, &bytes, &mesh, err);
     if (r == SVO_OK || r == SVO_INVALID_DATA) {
         /* Of what a changing file gives, only that it changed is worth telling. */
-        svo_result changed = fmt_bytes_unchanged(path, &bytes, err);
+        svo_result changed = import_unchanged(c, err);
         if (changed != SVO_OK) r = changed;
     }
+    import_opened_free(&opened);
     fmt_bytes_close(&bytes);
     if (r == SVO_OK) {
         if (svo_mesh_count(&mesh).placed_triangles == 0) svo_warn(c->warnings, "%s: no triangles", path);

@@ -32,7 +32,7 @@ typedef struct fmt_import_options {
  * that breaks its format's rules in a way that would give a wrong mesh = SVO_INVALID_DATA; a missing file = SVO_IO.
  * A mesh without triangles is not an error (it warns). What is ignored (skins, morph targets, animations,
  * textures that are missing ...) is named in a warning. A required glTF extension that is not supported is
- * SVO_UNSUPPORTED. Files referred to are looked for beside `path` only; paths that leave that folder are refused. */
+ * SVO_UNSUPPORTED. A file (also one referred to) that changes while the import reads is SVO_IO. Files referred to are looked for beside `path` only; paths that leave that folder are refused. */
 svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, svo_mesh *out, svo_error *err);
 
 #ifdef __cplusplus

@@ -49,11 +49,39 @@ static bool join(const import_context *c, const char *below, char path[IMPORT_PA
     return n > 0 && n < IMPORT_PATH_MAX;
 }
 
+static bool note_opened(const import_context *c, const char *path, const fmt_bytes *file)
+{
+    if (c->opened == NULL) return true;
+    import_opened o = {.path = svo_string_copy(NULL, path), .file = *file};
+    o.file.data = NULL;
+    if (o.path != NULL && svo_buffer_append(c->opened, &o, sizeof o) != NULL) return true;
+    svo_string_free(NULL, o.path);
+    return false;
+}
+
 svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err)
 {
     SVO_TRY(fmt_bytes_open(path, c->max_file_bytes, c->allocator, out, err));
+    if (!note_opened(c, path, out)) {
+        fmt_bytes_close(out);
+        return import_no_memory(err);
+    }
     if (c->file_read != NULL) c->file_read(c->file_read_user, path, out->data, out->size, out->mapped);
     return SVO_OK;
+}
+
+svo_result import_unchanged(const import_context *c, svo_error *err)
+{
+    const import_opened *o = (const import_opened *)(const void *)c->opened->data;
+    for (size_t i = 0; i < c->opened->size / sizeof *o; i++) SVO_TRY(fmt_bytes_unchanged(o[i].path, &o[i].file, err));
+    return SVO_OK;
+}
+
+void import_opened_free(svo_buffer *opened)
+{
+    const import_opened *o = (const import_opened *)(const void *)opened->data;
+    for (size_t i = 0; i < opened->size / sizeof *o; i++) svo_string_free(NULL, o[i].path);
+    svo_buffer_free(opened);
 }
 
 svo_result import_resolve(const import_context *c, const char *reference, char path[IMPORT_PATH_MAX], svo_error *err)

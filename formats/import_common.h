@@ -27,7 +27,13 @@ typedef struct import_context {
     uint64_t memory;        /* what a spilling import may take, about */
     bool spilling;          /* read window by window into the spill */
     bool mapped;            /* the model's bytes are a mapped file */
+    svo_buffer *opened;     /* import_opened: every file that was opened, to look at again in the end; NULL: not noted */
 } import_context;
+
+typedef struct import_opened {
+    char *path;
+    fmt_bytes file; /* what it was when it was opened; without its bytes */
+} import_opened;
 
 /* --- files beside the model --- */
 /* `reference` as a path below the model's folder. '\' counts as '/'. INVALID_DATA for what would leave the folder
@@ -40,6 +46,9 @@ bool import_find(const import_context *c, const char *reference, char path[IMPOR
 
 /* fmt_bytes_open within the context's limits, and tell file_read. All importers open files with it alone. */
 svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err);
+/* SVO_IO when one of the files opened so far has changed since. */
+svo_result import_unchanged(const import_context *c, svo_error *err);
+void import_opened_free(svo_buffer *opened);
 
 /* Least part of a text of `size` bytes that is read on its own: not so small that the bookkeeping of blocks counts. */
 uint64_t import_block_bytes(const import_context *c, uint64_t size);

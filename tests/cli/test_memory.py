@@ -4,10 +4,12 @@ import json
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
 import time
+import zlib
 
 import support
 from support import check, skip, tool
@@ -216,6 +218,72 @@ def test_input_that_changes(folder):
             else:
                 (folder / "a.svo").unlink()
     check(len(seen) >= 2, "hardly any change was seen: %s" % seen)
+
+
+def png(path, side, colour=(200, 100, 50), noise=None):
+    """A square RGB image: of one colour, or of bytes of `noise`."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    pack = zlib.compressobj(1)
+    data = b""
+    for y in range(side):
+        data += pack.compress(b"\0" + (noise.randbytes(3 * side) if noise else bytes(colour) * side))
+    data += pack.flush()
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0)) + chunk(b"IDAT", data) + chunk(b"IEND", b""))
+
+
+def test_files_beside_the_model_that_change(folder):
+    """A pipe in the place of the last texture holds the import until all other files have been read."""
+    positions = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    textures = [{"baseColorTexture": {"index": 0}}, {"baseColorTexture": {"index": 1}}]
+    gltf = {"asset": {"version": "2.0"}, "buffers": [{"uri": "a.bin", "byteLength": 60}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}, {"buffer": 0, "byteOffset": 36, "byteLength": 24}],
+            "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]},
+                          {"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC2"}],
+            "images": [{"uri": "one.png"}, {"uri": "two.png"}], "textures": [{"source": 0}, {"source": 1}],
+            "materials": [{"pbrMetallicRoughness": t} for t in textures],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "material": i} for i in range(2)]}],
+            "nodes": [{"mesh": 0}], "scenes": [{"nodes": [0]}], "scene": 0}
+    png(folder / "picture", 4)
+    picture = (folder / "picture").read_bytes()
+    for changed in ("a.bin", "one.png", "m.gltf", None):
+        (folder / "m.gltf").write_text(json.dumps(gltf))
+        (folder / "a.bin").write_bytes(positions + struct.pack("<6f", 0, 0, 1, 0, 0, 1))
+        (folder / "one.png").write_bytes(picture)
+        os.mkfifo(folder / "two.png")
+        p = subprocess.Popen([str(support.tools / "svo-voxelize"), str(folder / "m.gltf"), "-o", str(folder / "a.svo"), "-f", "--depth", "4"], stderr=subprocess.PIPE)
+        with open(folder / "two.png", "wb") as pipe:  # waits for the reader
+            time.sleep(0.02)  # another time of change
+            if changed:
+                with open(folder / changed, "r+b") as f:
+                    f.write(f.read(1))
+                os.utime(folder / changed)
+            pipe.write(picture)
+        err = p.communicate(timeout=60)[1].decode()
+        check(p.returncode == (2 if changed else 0), "%s: %d %s" % (changed, p.returncode, err))
+        if changed:
+            check(changed in err and "changed" in err, err)
+            check(not (folder / "a.svo").exists())
+        (folder / "two.png").unlink()
+
+
+def test_materials_that_change(folder):
+    png(folder / "large.png", 6000)
+    (folder / "m.obj").write_text("mtllib m.mtl\nusemtl a\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n")
+    seen = False
+    for attempt in range(8):
+        (folder / "m.mtl").write_text("newmtl a\nmap_Kd large.png\n")
+        p = subprocess.Popen([str(support.tools / "svo-voxelize"), str(folder / "m.obj"), "-o", str(folder / "a.svo"), "-f", "--depth", "4"], stderr=subprocess.PIPE)
+        time.sleep(0.04 * (attempt + 1))  # the texture takes longer than that
+        (folder / "m.mtl").write_text("newmtl b\nmap_Kd large.png\n")
+        err = p.communicate(timeout=60)[1].decode()
+        check(p.returncode in (0, 2), "%d %s" % (p.returncode, err))
+        if p.returncode == 2:
+            check("m.mtl" in err and "changed" in err, err)
+            seen = True
+            break
+        (folder / "a.svo").unlink()
+    check(seen, "no change was seen")
 
 
 def test_a_reader_that_goes(folder):
