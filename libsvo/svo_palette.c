@@ -1,4 +1,4 @@
-/* Reading and proving blocks; docs/format/svdag.md, "Palette blocks". */
+/* Points of lines and lattices; proving blocks; docs/format/svdag.md, "Palette blocks". */
 #include "svo_palette.h"
 
 #include "svoi_palette.h"
@@ -139,24 +139,7 @@ void svoi_put_lattice(svoi_bits *w, svo_channel_kind kind, const svo_lattice *l)
     }
 }
 
-/* --- reading ----------------------------------------------------------------------------------------------------- */
-
-static uint32_t table_value(const svo_palette *p, uint64_t index)
-{
-    switch (p->kind) {
-    case SVO_KIND_COLOR_SRGB8: {
-        const uint8_t *t = p->table + 3 * index;
-        return t[0] | (uint32_t)t[1] << 8 | (uint32_t)t[2] << 16;
-    }
-    case SVO_KIND_UNORM8: return p->table[index];
-    case SVO_KIND_ID16: return p->table[2 * index] | (uint32_t)p->table[2 * index + 1] << 8;
-    case SVO_KIND_NORMAL_OCT32:
-    case SVO_KIND_ID32: break;
-    }
-    uint32_t v;
-    memcpy(&v, p->table + 4 * index, sizeof v);
-    return v;
-}
+/* --- checking ---------------------------------------------------------------------------------------------------- */
 
 /* Number of set bits among the first n + 1 from bit `at` on, less one. */
 static uint32_t rank_of(const uint8_t *data, uint32_t at, uint32_t n)
@@ -165,57 +148,6 @@ static uint32_t rank_of(const uint8_t *data, uint32_t at, uint32_t n)
     for (; done + 56 <= n + 1; done += 56) count += (uint32_t)__builtin_popcountll(svo_palette_bits(data, at + done, 56));
     return count + (uint32_t)__builtin_popcountll(svo_palette_bits(data, at + done, n + 1 - done)) - 1;
 }
-
-/* Of value `j` in a block of `length`: the number stored for it. Numbers begin at bit `at`; with runs, flags come first. */
-static uint32_t number_of(const uint8_t *data, uint32_t at, uint32_t j, uint32_t length, uint32_t width, bool runs)
-{
-    if (!runs) return (uint32_t)svo_palette_bits(data, at + (uint64_t)j * width, width);
-    return (uint32_t)svo_palette_bits(data, at + length + (uint64_t)rank_of(data, at, j) * width, width);
-}
-
-uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
-{
-    uint64_t s = i / SVO_SUPERBLOCK, map, base;
-    const uint8_t *entry = p->directory + s * SVO_PALETTE_ENTRY;
-    uint32_t offset, b = svo_palette_table_bits(p->table_count);
-    memcpy(&map, entry, sizeof map);
-    memcpy(&offset, entry + 8, sizeof offset);
-    memcpy(&base, p->payload + s / SVO_PALETTE_GROUP * 8, sizeof base);
-    const uint8_t *super = p->payload + base + offset;
-    uint32_t granule = (uint32_t)(i / SVO_GRANULE) & 63;
-    uint64_t upto = ~(uint64_t)0 >> (63 - granule), below = map & upto, above = map & ~upto;
-    uint32_t block = (uint32_t)__builtin_popcountll(below) - 1, begin = 63 - (uint32_t)__builtin_clzll(below);
-    uint16_t header;
-    memcpy(&header, super + 2 * block, sizeof header);
-    uint32_t mode = header & 31, field = header >> 5;
-    if (mode < SVO_BLOCK_ONE_WIDE) return table_value(p, mode << 11 | field);
-    const uint8_t *data = super + field;
-    uint32_t j = (uint32_t)(i % SVO_SUPERBLOCK) - begin * SVO_GRANULE;
-    uint32_t length = ((above != 0 ? (uint32_t)__builtin_ctzll(above) : 64) - begin) * SVO_GRANULE;
-    if (mode >= SVO_BLOCK_PALETTE) {
-        bool runs = mode >= SVO_BLOCK_PALETTE_RUNS;
-        if (!runs) {
-            uint32_t width = mode - SVO_BLOCK_PALETTE + 1;
-            uint64_t n = svo_palette_bits(data, (uint64_t)j * width, width);
-            return table_value(p, svo_palette_bits(data, (uint64_t)length * width + n * b, b));
-        }
-        uint32_t width = mode - SVO_BLOCK_PALETTE_RUNS + 2, n = number_of(data, 8 + (data[0] + 1u) * b, j, length, width, true);
-        return table_value(p, svo_palette_bits(data, 8 + (uint64_t)n * b, b));
-    }
-    if (mode >= SVO_BLOCK_LINE) {
-        bool runs = mode >= SVO_BLOCK_LINE_RUNS;
-        uint32_t width = mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
-        return svo_line_point(p->kind, table_value(p, svo_palette_bits(data, 0, b)), table_value(p, svo_palette_bits(data, b, b)),
-                              number_of(data, 2 * b, j, length, width, runs), (1u << width) - 1);
-    }
-    if (mode == SVO_BLOCK_ONE_WIDE) return table_value(p, svo_palette_bits(data, 0, b));
-    if (mode == SVO_BLOCK_RAW) return table_value(p, svo_palette_bits(data, (uint64_t)j * b, b));
-    svo_lattice l;
-    read_lattice(p->kind, data, &l);
-    return svo_lattice_point(p->kind, &l, number_of(data, svo_lattice_header_bits(p->kind), j, length, l.bits, mode == SVO_BLOCK_BOX_RUNS));
-}
-
-/* --- checking ---------------------------------------------------------------------------------------------------- */
 
 static svo_result bad(svo_error *err, uint64_t superblock, const char *why)
 {

@@ -1,11 +1,11 @@
 /* Colours in few bits: blocks chosen by bits and error against Algorithm 1 of Dado et al. 2016 and against blocks with two
  * endpoints and variable weights after Dolonius et al. 2017, on the same streams in one run.
  *
- *     bench_attributes [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag [...]
+ *     bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag [...]
  *
  * The files are packed without loss. METHODS: any of a (Algorithm 1), d (two endpoints), o (ours). -x: ours with this goal
  * alone (svo_palette_goal) and
- * bits of a table index, with a histogram of modes.
+ * bits of a table index, with a histogram of modes. -r 1: nothing is coded; random access to each channel as it is in the files.
  *
  * A line of CSV a method and setting: bits a value (tables, directories and headers included), CIE94 mean and largest,
  * PSNR and largest difference of a byte, millions of values coded a CPU second, nanoseconds of a random access whose
@@ -110,9 +110,29 @@ static double delta(uint32_t a, uint32_t b)
     return cache[slot].error;
 }
 
+/* Nanoseconds of a read whose place depends on the value read before; best of 5. */
+static double access_time(uint64_t count, decode_fn decode, const void *coded)
+{
+    enum { ROUNDS = 5, READS = 400000 };
+    uint64_t x = 88172645463325252u, used = 0;
+    double best = 1e9;
+    for (int r = 0; r < ROUNDS; r++) {
+        double started = cpu_seconds();
+        for (int k = 0; k < READS; k++) {
+            x ^= x << 13, x ^= x >> 7, x ^= x << 17;
+            uint64_t i = (x >> 32) * count >> 32; /* fewer than 2^32 values */
+            if ((used & 1) && i != 0) i--;
+            used += decode(coded, i);
+        }
+        double ns = (cpu_seconds() - started) / READS * 1e9;
+        if (ns < best) best = ns;
+    }
+    return best;
+}
+
 static void line(const stream *s, const char *method, const char *setting, uint64_t bits, double seconds, decode_fn decode, const void *coded)
 {
-    double sum = 0, most = 0, squares = 0, best = 1e9;
+    double sum = 0, most = 0, squares = 0, best;
     int32_t byte = 0;
     for (uint64_t i = 0; i < s->count; i++) {
         uint32_t a = s->v[i], b = decode(coded, i);
@@ -127,19 +147,7 @@ static void line(const stream *s, const char *method, const char *setting, uint6
             if (d > byte) byte = d;
         }
     }
-    enum { ROUNDS = 5, READS = 400000 };
-    uint64_t x = 88172645463325252u, used = 0;
-    for (int r = 0; r < ROUNDS; r++) {
-        double started = cpu_seconds();
-        for (int k = 0; k < READS; k++) {
-            x ^= x << 13, x ^= x >> 7, x ^= x << 17;
-            uint64_t i = (x >> 32) * s->count >> 32; /* fewer than 2^32 values */
-            if ((used & 1) && i != 0) i--; /* the place depends on the value read before */
-            used += decode(coded, i);
-        }
-        double ns = (cpu_seconds() - started) / READS * 1e9;
-        if (ns < best) best = ns;
-    }
+    best = access_time(s->count, decode, coded);
     printf("%s,%s,%s,%.4f,%.4f,%.3f,%.2f,%d,%.2f,%.1f\n", s->name, method, setting, (double)bits / (double)s->count, sum / (double)s->count, most,
            squares > 0 ? 10 * log10(255.0 * 255 * 3 * (double)s->count / squares) : 99, (int)byte, (double)s->count / seconds / 1e6, best);
     fflush(stdout);
@@ -205,6 +213,23 @@ static void ours(const stream *s, double bound, double price, bool squares, uint
     free(table), free(entry), free(bytes);
     svo_buffer_free(&directory);
     svo_buffer_free(&payload);
+}
+
+/* The channels of a file as they are. */
+static void read_channels(const char *path)
+{
+    svo_error err = {0};
+    fmt_bytes bytes;
+    fmt_svdag f;
+    if (fmt_bytes_open(path, 0, NULL, &bytes, &err) != SVO_OK || fmt_svdag_open(bytes.data, bytes.size, NULL, &f, &err) != SVO_OK) die(err.message);
+    for (uint32_t c = 0; c < f.view.channel_count; c++) {
+        if (f.view.channels[c].encoding != SVO_ENCODING_BLOCKS) continue;
+        svo_palette p = svo_view_palette(&f.view, c);
+        printf("%s,%s,%llu values,%.4f bits,%.1f ns\n", path, f.view.channels[c].channel.name, (unsigned long long)p.count,
+               8.0 * (double)(p.payload_size + SVO_PALETTE_ENTRY * p.superblock_count) / (double)p.count, access_time(p.count, decode_blocks, &p));
+    }
+    fmt_svdag_close(&f);
+    fmt_bytes_close(&bytes);
 }
 
 /* --- Algorithm 1 ------------------------------------------------------------------------------------------------- */
@@ -447,15 +472,19 @@ int main(int argc, char **argv)
     double goal[4] = {-1, 0, 0, 12};
     uint32_t threads = 1;
     uint64_t brute = 0;
+    bool as_is = false;
     int i = 1;
     for (; i + 1 < argc && argv[i][0] == '-'; i += 2) {
         if (argv[i][1] == 'c') channel = argv[i + 1];
         else if (argv[i][1] == 't') threads = (uint32_t)atoi(argv[i + 1]);
+        else if (argv[i][1] == 'r') as_is = atoi(argv[i + 1]) != 0;
         else if (argv[i][1] == 'b') brute = (uint64_t)atoll(argv[i + 1]);
         else if (argv[i][1] == 'm') methods = argv[i + 1];
         else if (argv[i][1] != 'x' || sscanf(argv[i + 1], "%lf,%lf,%lf,%lf", &goal[0], &goal[1], &goal[2], &goal[3]) != 4) die("unknown option");
     }
-    if (i >= argc) die("usage: bench_attributes [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag ...");
+    if (i >= argc) die("usage: bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag ...");
+    for (; as_is && i < argc; i++) read_channels(argv[i]);
+    if (as_is) return 0;
     puts("stream,method,setting,bits_per_value,mean_delta_e,max_delta_e,psnr,max_byte,million_per_cpu_second,random_access_ns");
     for (; i < argc; i++) {
         stream s = {.threads = threads};

@@ -1,0 +1,145 @@
+/* Reading one value of a channel's blocks: svo_palette_value. All that a reader does at random goes through here, so what is
+ * asked of memory comes first (a block's header and the begin of its data are two places) and the rest follows in registers. */
+#include "svo_palette.h"
+
+static inline uint64_t load64(const uint8_t *p)
+{
+    uint64_t v;
+    memcpy(&v, p, sizeof v);
+    return v;
+}
+
+/* Number of set bits among bits at .. at + n, less one. */
+static inline uint32_t rank_of(const uint8_t *p, uint32_t at, uint32_t n)
+{
+    p += at / 8;
+    uint32_t end = at % 8 + n, count = 0;
+    uint64_t w = load64(p) & ~(uint64_t)0 << at % 8;
+    for (; end >= 64; end -= 64) {
+        count += (uint32_t)__builtin_popcountll(w);
+        w = load64(p += 8);
+    }
+    return count + (uint32_t)__builtin_popcountll(w & ~(uint64_t)0 >> (63 - end)) - 1;
+}
+
+static inline uint32_t bits_at(const uint8_t *p, uint32_t at, uint32_t width) /* 0..32 */
+{
+    return (uint32_t)(load64(p + at / 8) >> at % 8 & (((uint64_t)1 << width) - 1));
+}
+
+static inline uint32_t table_value(const svo_palette *p, uint32_t index)
+{
+    uint32_t v;
+    switch (p->kind) {
+    case SVO_KIND_COLOR_SRGB8: {
+        const uint8_t *t = p->table + 3 * (uint64_t)index;
+        return t[0] | (uint32_t)t[1] << 8 | (uint32_t)t[2] << 16;
+    }
+    case SVO_KIND_UNORM8: return p->table[index];
+    case SVO_KIND_ID16: return p->table[2 * (uint64_t)index] | (uint32_t)p->table[2 * (uint64_t)index + 1] << 8;
+    case SVO_KIND_NORMAL_OCT32:
+    case SVO_KIND_ID32: break;
+    }
+    memcpy(&v, p->table + 4 * (uint64_t)index, sizeof v);
+    return v;
+}
+
+/* A block of a superblock, and where in it the value is. */
+typedef struct place {
+    const uint8_t *data;
+    uint32_t j, length;
+} place;
+
+/* The number of a value: one a value, or (runs) flags first and one for each of them. */
+static inline uint32_t number_of(place b, uint32_t at, uint32_t width, bool runs)
+{
+    uint32_t nth = b.j;
+    if (runs) {
+        nth = rank_of(b.data, at, b.j);
+        at += b.length;
+    }
+    return bits_at(b.data, at + nth * width, width);
+}
+
+static inline uint32_t width_of(uint64_t points) { return points > 1 ? 64 - (uint32_t)__builtin_clzll(points - 1) : 0; }
+
+/* A lattice of colours: Y (8, 8, 5 bits), Co and Cg (9, 9, 5 bits); docs/format/svdag.md, "Lattices". */
+static uint32_t color_of_lattice(place b, bool runs)
+{
+    uint64_t h = load64(b.data);
+    svo_lattice l;
+    l.low[0] = (int32_t)(h & 255);
+    l.n[0] = (h >> 8 & 255) + 1;
+    l.step[0] = (uint32_t)(h >> 16 & 31) + 1;
+    l.low[1] = (int32_t)(h >> 21 & 511) - 256;
+    l.n[1] = (h >> 30 & 511) + 1;
+    l.step[1] = (uint32_t)(h >> 39 & 31) + 1;
+    l.low[2] = (int32_t)(h >> 44 & 511) - 256;
+    l.n[2] = (h >> 53 & 511) + 1;
+    l.step[2] = (uint32_t)((h >> 62 | (uint64_t)b.data[8] << 2) & 31) + 1;
+    return svo_lattice_point(SVO_KIND_COLOR_SRGB8, &l, number_of(b, 67, width_of(l.n[0] * l.n[1] * l.n[2]), runs));
+}
+
+static uint32_t normal_of_lattice(place b, bool runs)
+{
+    uint64_t h = load64(b.data), g = load64(b.data + 4) >> 7; /* 39 bits each */
+    uint32_t code[2] = {(uint32_t)(h >> 32 & 127), (uint32_t)(g >> 32 & 127)};
+    svo_lattice l = {.low = {(int32_t)(h & 0xffff) - 32768, (int32_t)(g & 0xffff) - 32768, 0}, .n = {(h >> 16 & 0xffff) + 1, (g >> 16 & 0xffff) + 1, 1}};
+    for (int i = 0; i < 2; i++) l.step[i] = (8 + (code[i] & 7)) << (code[i] >> 3) >> 3;
+    return svo_lattice_point(SVO_KIND_NORMAL_OCT32, &l, number_of(b, 78, width_of(l.n[0] * l.n[1]), runs));
+}
+
+static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
+{
+    if (kind == SVO_KIND_COLOR_SRGB8) return color_of_lattice(b, runs);
+    if (kind == SVO_KIND_NORMAL_OCT32) return normal_of_lattice(b, runs);
+    uint32_t field = kind == SVO_KIND_UNORM8 ? 8 : kind == SVO_KIND_ID16 ? 16 : 32, low = bits_at(b.data, 0, field);
+    svo_lattice l = {.n = {(uint64_t)bits_at(b.data, field, field) + 1, 1, 1}, .step = {1, 1, 1}};
+    memcpy(&l.low[0], &low, sizeof low);
+    if (kind == SVO_KIND_UNORM8) l.step[0] = bits_at(b.data, 16, 5) + 1;
+    return svo_lattice_point(kind, &l, number_of(b, 2 * field + (kind == SVO_KIND_UNORM8 ? 5 : 0), width_of(l.n[0]), runs));
+}
+
+uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
+{
+    uint64_t s = i / SVO_SUPERBLOCK;
+    const uint8_t *entry = p->directory + s * SVO_PALETTE_ENTRY;
+    uint32_t offset, b = svo_palette_table_bits(p->table_count);
+    memcpy(&offset, entry + 8, sizeof offset);
+    const uint8_t *super = p->payload + load64(p->payload + s / SVO_PALETTE_GROUP * 8) + offset;
+    if (s + 1 < p->superblock_count) { /* where the data would be if all blocks took the same bits: right often enough */
+        uint32_t next;
+        memcpy(&next, entry + SVO_PALETTE_ENTRY + 8, sizeof next);
+        const uint8_t *guess = super + ((uint64_t)(next - offset) * (i % SVO_SUPERBLOCK) >> 10);
+        __builtin_prefetch(guess);
+        __builtin_prefetch(guess + 64);
+    }
+    uint64_t map = load64(entry);
+    uint32_t granule = (uint32_t)(i / SVO_GRANULE) & 63;
+    uint64_t upto = ~(uint64_t)0 >> (63 - granule), below = map & upto, above = map & ~upto;
+    uint32_t block = (uint32_t)__builtin_popcountll(below) - 1, begin = 63 - (uint32_t)__builtin_clzll(below);
+    uint16_t header;
+    memcpy(&header, super + 2 * block, sizeof header);
+    uint32_t mode = header & 31, field = header >> 5;
+    if (mode < SVO_BLOCK_ONE_WIDE) return table_value(p, mode << 11 | field);
+    const uint8_t *data = super + field;
+    __builtin_prefetch(data + 64); /* numbers and palettes are seldom in the line of the begin */
+    __builtin_prefetch(data + 128);
+    uint32_t end = above != 0 ? (uint32_t)__builtin_ctzll(above) : 64;
+    place at = {data, (uint32_t)(i % SVO_SUPERBLOCK) - begin * SVO_GRANULE, (end - begin) * SVO_GRANULE};
+    if (mode >= SVO_BLOCK_PALETTE_RUNS) {
+        uint32_t n = number_of(at, 8 + (data[0] + 1u) * b, mode - SVO_BLOCK_PALETTE_RUNS + 2, true);
+        return table_value(p, bits_at(data, 8 + n * b, b));
+    }
+    if (mode >= SVO_BLOCK_PALETTE) {
+        uint32_t width = mode - SVO_BLOCK_PALETTE + 1, n = number_of(at, 0, width, false);
+        return table_value(p, bits_at(data, at.length * width + n * b, b));
+    }
+    if (mode >= SVO_BLOCK_LINE) {
+        bool runs = mode >= SVO_BLOCK_LINE_RUNS;
+        uint32_t width = mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2, n = number_of(at, 2 * b, width, runs);
+        return svo_line_point(p->kind, table_value(p, bits_at(data, 0, b)), table_value(p, bits_at(data, b, b)), n, (1u << width) - 1);
+    }
+    if (mode >= SVO_BLOCK_BOX) return value_of_lattice(p->kind, at, mode == SVO_BLOCK_BOX_RUNS);
+    return table_value(p, bits_at(data, mode == SVO_BLOCK_RAW ? at.j * b : 0, b));
+}
