@@ -117,14 +117,15 @@ static bool convert_pixel(const bmp *b, const uint8_t *row, uint32_t x, uint8_t 
     return true;
 }
 
-svo_result image_decode_bmp(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out,
+svo_result image_decode_bmp(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const image_memory *memory, svo_image *out,
                             svo_error *err)
 {
     bmp b = {0};
     SVO_TRY(read_header(&b, bytes, size, err));
-    SVO_TRY(image_allocate("BMP", b.width, b.height, max_pixels, a, out, err));
+    SVO_TRY(image_allocate("BMP", b.width, b.height, max_pixels, memory, out, err));
     for (uint32_t y = 0; y < b.height; y++) {
         const uint8_t *row = b.rows + b.stride * (b.top_down ? y : b.height - 1 - y);
+        svo_image_touch(out, 0, y, b.width);
         uint8_t *to = out->pixels + 4 * (size_t)b.width * y;
         for (uint32_t x = 0; x < b.width; x++)
             if (!convert_pixel(&b, row, x, to + 4 * (size_t)x)) return bad(err, "a pixel points outside the palette");

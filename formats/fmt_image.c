@@ -6,7 +6,7 @@
 
 static const uint64_t DEFAULT_MAX_PIXELS = (uint64_t)1 << 28;
 
-svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uint64_t max_pixels, const svo_allocator *a,
+svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uint64_t max_pixels, const image_memory *memory,
                           svo_image *out, svo_error *err)
 {
     if (width == 0 || height == 0 || width > INT32_MAX || height > INT32_MAX)
@@ -14,7 +14,14 @@ svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uin
     if (height > max_pixels / width)
         return svo_fail(err, SVO_LIMIT, "%s image is %llu x %llu pixels; at most %llu pixels are accepted", kind,
                         (unsigned long long)width, (unsigned long long)height, (unsigned long long)max_pixels);
-    out->pixels = svo_alloc(a, width * height, 4);
+    /* What it takes later, filtered levels included: 4 bytes a pixel and a third of 8, and a third of one for alpha. */
+    if (memory->pager != NULL && !svo_pager_keeps(memory->pager, 7 * width * height)) {
+        svo_result r = svo_paged_create(memory->pager, 4 * width * height, &out->paged, err);
+        if (r != SVO_OK) return r == SVO_LIMIT ? SVO_OUT_OF_MEMORY : r; /* not a limit of images */
+        out->pixels = out->paged->data;
+    } else {
+        out->pixels = svo_calloc(memory->a, width * height, 4);
+    }
     if (out->pixels == NULL)
         return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a %s image of %llu x %llu pixels", kind,
                         (unsigned long long)width, (unsigned long long)height);
@@ -23,7 +30,7 @@ svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uin
     return SVO_OK;
 }
 
-typedef svo_result (*decoder)(const uint8_t *, uint64_t, uint64_t, const svo_allocator *, svo_image *, svo_error *);
+typedef svo_result (*decoder)(const uint8_t *, uint64_t, uint64_t, const image_memory *, svo_image *, svo_error *);
 
 static bool starts(const uint8_t *bytes, uint64_t size, uint64_t at, const char *text, uint64_t length)
 {
@@ -61,8 +68,10 @@ static decoder sniff(const uint8_t *b, uint64_t n, const char **name)
     return image_looks_like_tga(b, n) ? image_decode_tga : NULL;
 }
 
-svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
+svo_result fmt_image_decode_paged(const uint8_t *bytes, uint64_t size, bool mapped, uint64_t max_pixels, const svo_allocator *a, svo_pager *pager, svo_image *out,
+                                  svo_error *err)
 {
+    const image_memory memory = {a, pager, mapped && pager != NULL};
     if (size == 0) return svo_fail(err, SVO_INVALID_DATA, "the image is empty");
     const char *name;
     decoder fn = sniff(bytes, size, &name);
@@ -70,17 +79,26 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
         return svo_fail(err, SVO_UNSUPPORTED, "%s images are not supported; PNG, JPEG, BMP and TGA are", name);
     if (fn == NULL) return svo_fail(err, SVO_INVALID_DATA, "not an image of a known format (PNG, JPEG, BMP and TGA are read)");
     svo_image image = {0};
-    svo_result r = fn(bytes, size, max_pixels != 0 ? max_pixels : DEFAULT_MAX_PIXELS, a, &image, err);
+    svo_result r = fn(bytes, size, max_pixels != 0 ? max_pixels : DEFAULT_MAX_PIXELS, &memory, &image, err);
     if (r != SVO_OK) {
         fmt_image_free(a, &image);
         return r;
     }
-    uint64_t count = (uint64_t)image.width * image.height;
+    if (memory.mapped) fmt_bytes_forget(bytes, size);
     uint8_t all = 255;
-    for (uint64_t i = 0; i < count; i++) all &= image.pixels[4 * i + 3];
+    for (uint32_t y = 0; y < image.height; y++) {
+        svo_image_touch(&image, 0, y, image.width);
+        const uint8_t *row = image.pixels + 4 * (uint64_t)y * image.width;
+        for (uint32_t x = 0; x < image.width; x++) all &= row[4 * (uint64_t)x + 3];
+    }
     image.has_alpha = all != 255;
     *out = image;
     return SVO_OK;
+}
+
+svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
+{
+    return fmt_image_decode_paged(bytes, size, false, max_pixels, a, NULL, out, err);
 }
 
 svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
@@ -99,6 +117,6 @@ void fmt_image_free(const svo_allocator *a, svo_image *image)
 {
     if (image == NULL) return;
     svo_string_free(a, image->name);
-    svo_free(a, image->pixels, (uint64_t)image->width * image->height, 4);
+    svo_image_free_pixels(a, image);
     memset(image, 0, sizeof *image);
 }

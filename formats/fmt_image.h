@@ -12,6 +12,10 @@ extern "C" {
 /* Decode bytes of any supported format to RGBA8 (16-bit samples are rounded to 8; palette, grey and tRNS expanded;
  * gAMA and ICC ignored as glTF asks). Dimensions are checked against max_pixels (0 = 2^28) before memory is taken. */
 svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err);
+/* The same with pixels in the pager (may be NULL) where they are too many to be kept in memory. mapped: the bytes are a mapped file, and do not
+ * stay in memory. */
+svo_result fmt_image_decode_paged(const uint8_t *bytes, uint64_t size, bool mapped, uint64_t max_pixels, const svo_allocator *a, svo_pager *pager, svo_image *out,
+                                  svo_error *err);
 svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err);
 void fmt_image_free(const svo_allocator *a, svo_image *image);
 

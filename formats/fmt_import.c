@@ -102,6 +102,7 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->file_read_user = o->file_read_user;
     c->spill = o->memory != 0 ? o->spill : NULL;
     c->memory = o->memory;
+    c->pager = o->pager;
     const char *slash = strrchr(path, '/');
     size_t n = slash != NULL ? (size_t)(slash - path) + 1 : 0;
     if (n >= sizeof c->folder) return svo_fail(err, SVO_INVALID_ARGUMENT, "%.100s...: the path is too long", path);

@@ -26,6 +26,7 @@ typedef struct fmt_import_options {
      * (svo_soup.h). Works for OBJ, PLY, STL and OFF; other formats are read into memory. NULL: never. */
     const svo_spill *spill;
     uint64_t memory;
+    svo_pager *pager; /* where textures go that do not fit in memory; it must outlive the mesh. NULL: they stay in memory */
 } fmt_import_options;
 
 /* Format by content first, then by extension: .gltf .glb .obj .ply .stl .off .drc. Unknown = SVO_UNSUPPORTED; a file

@@ -99,7 +99,7 @@ static void on_progress(j_common_ptr info)
         stop(job, SVO_LIMIT, "more than 100 progressive scans");
 }
 
-static bool read_rows(jpeg_job *job, const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a,
+static bool read_rows(jpeg_job *job, const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const image_memory *memory,
                       svo_image *out, svo_error *err)
 {
     struct jpeg_decompress_struct *info = &job->info;
@@ -119,27 +119,33 @@ static bool read_rows(jpeg_job *job, const uint8_t *bytes, uint64_t size, uint64
     uint64_t pixels = (uint64_t)info->image_width * info->image_height;
     /* A Huffman code has at least one bit, and a component at most 1/16 of the image's blocks of 64 pixels fewer. */
     if (pixels <= max_pixels && pixels / (64 * 16 * 8) > size) stop(job, SVO_INVALID_DATA, "the file is too short for the size it states");
-    job->result = image_allocate("JPEG", info->image_width, info->image_height, max_pixels, a, out, err);
+    job->result = image_allocate("JPEG", info->image_width, info->image_height, max_pixels, memory, out, err);
     if (job->result != SVO_OK) return false;
     if (jpeg_has_multiple_scans(info)) { /* libjpeg will hold all coefficients; it does not know the allocator */
         job->charge = 2 * pixels * (uint64_t)info->num_components;
-        job->charged = svo_alloc(a, job->charge, 1);
-        if (job->charged == NULL) stop(job, SVO_OUT_OF_MEMORY, "out of memory");
+        job->charged = svo_alloc(memory->a, job->charge, 1);
+        if (job->charged == NULL) {
+            snprintf(job->message, sizeof job->message, "a progressive file of %u x %u pixels takes %.1f MB while it is decoded", info->image_width, info->image_height, (double)job->charge / 1e6);
+            job->result = SVO_OUT_OF_MEMORY;
+            longjmp(job->jump, 1);
+        }
     }
     info->dct_method = JDCT_ISLOW;
     info->out_color_space = JCS_EXT_RGBA;
     jpeg_start_decompress(info);
     if (job->charged != NULL && job->ended) stop(job, SVO_INVALID_DATA, "the file ends before the last scan");
     while (info->output_scanline < info->output_height) {
+        svo_image_touch(out, 0, info->output_scanline, info->image_width);
         JSAMPROW row = out->pixels + 4 * (size_t)info->image_width * info->output_scanline;
         jpeg_read_scanlines(info, &row, 1);
     }
     return true;
 }
 
-svo_result image_decode_jpeg(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out,
+svo_result image_decode_jpeg(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const image_memory *memory, svo_image *out,
                              svo_error *err)
 {
+    const svo_allocator *a = memory->a;
     jpeg_job *job = svo_calloc(a, 1, sizeof *job);
     if (job == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for reading a JPEG image");
     job->info.err = jpeg_std_error(&job->errors);
@@ -147,7 +153,7 @@ svo_result image_decode_jpeg(const uint8_t *bytes, uint64_t size, uint64_t max_p
     job->errors.error_exit = on_error;
     job->errors.emit_message = on_message;
     job->errors.output_message = no_output;
-    read_rows(job, bytes, size, max_pixels, a, out, err);
+    read_rows(job, bytes, size, max_pixels, memory, out, err);
     svo_result result = job->result;
     if (result != SVO_OK && job->message[0] != 0) svo_fail(err, result, "JPEG image: %s", job->message);
     jpeg_destroy_decompress(&job->info);

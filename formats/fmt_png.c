@@ -10,7 +10,8 @@
 typedef struct png_job {
     const svo_allocator *a;
     const uint8_t *bytes;
-    uint64_t size, at;
+    uint64_t size, at, forgotten;
+    bool mapped;
     fmt_output *to;
     svo_result result; /* of a callback, SVO_OK if the failure is libpng's own */
     svo_error *err;
@@ -27,7 +28,7 @@ static void on_error(png_structp png, png_const_charp message)
 static void on_warning(png_structp png, png_const_charp message) { (void)png, (void)message; }
 
 /* libpng frees without telling the size, so it is kept in front. */
-enum { HEAD = 64 };
+enum { HEAD = 64, FORGET = 4 << 20 };
 
 static png_voidp on_malloc(png_structp png, png_alloc_size_t size)
 {
@@ -56,10 +57,14 @@ static void on_read(png_structp png, png_bytep to, size_t count)
     if (count > job->size - job->at) png_error(png, "the file ends inside the image");
     memcpy(to, job->bytes + job->at, count);
     job->at += count;
+    if (job->mapped && job->at - job->forgotten >= FORGET) {
+        fmt_bytes_forget(job->bytes + job->forgotten, job->at - job->forgotten);
+        job->forgotten = job->at;
+    }
 }
 
 /* Reads into out->pixels; false after an error. */
-static bool read_rows(png_structp png, png_infop info, png_job *job, uint64_t max_pixels, svo_image *out)
+static bool read_rows(png_structp png, png_infop info, png_job *job, uint64_t max_pixels, const image_memory *memory, svo_image *out)
 {
     if (setjmp(png_jmpbuf(png))) return false;
     /* Only what decides about pixels is looked at; in particular no colour profile is ever unpacked. */
@@ -74,7 +79,7 @@ static bool read_rows(png_structp png, png_infop info, png_job *job, uint64_t ma
     /* deflate cannot shrink by more than 1032, so a small file cannot hold a large image */
     uint64_t packed_row = ((uint64_t)width * png_get_channels(png, info) * png_get_bit_depth(png, info) + 7) / 8 + 1;
     if (height > max_pixels / width || packed_row / 1032 <= job->size / height) {
-        job->result = image_allocate("PNG", width, height, max_pixels, job->a, out, job->err);
+        job->result = image_allocate("PNG", width, height, max_pixels, memory, out, job->err);
         if (job->result != SVO_OK) return false;
     } else {
         png_error(png, "the file is too short for the size it states");
@@ -86,23 +91,25 @@ static bool read_rows(png_structp png, png_infop info, png_job *job, uint64_t ma
     int passes = png_set_interlace_handling(png);
     png_read_update_info(png, info);
     if (png_get_rowbytes(png, info) != 4 * (size_t)width) png_error(png, "unexpected row size");
-    memset(out->pixels, 0, 4 * (size_t)width * height);
     for (int pass = 0; pass < passes; pass++)
-        for (png_uint_32 y = 0; y < height; y++) png_read_row(png, out->pixels + 4 * (size_t)width * y, NULL);
+        for (png_uint_32 y = 0; y < height; y++) {
+            svo_image_touch(out, 0, y, width);
+            png_read_row(png, out->pixels + 4 * (size_t)width * y, NULL);
+        }
     return true;
 }
 
-svo_result image_decode_png(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out,
+svo_result image_decode_png(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const image_memory *memory, svo_image *out,
                             svo_error *err)
 {
-    png_job job = {.a = a, .bytes = bytes, .size = size, .result = SVO_OK, .err = err};
+    png_job job = {.a = memory->a, .bytes = bytes, .size = size, .mapped = memory->mapped, .result = SVO_OK, .err = err};
     png_structp png = png_create_read_struct_2(PNG_LIBPNG_VER_STRING, &job, on_error, on_warning, &job, on_malloc, on_free);
     png_infop info = png != NULL ? png_create_info_struct(png) : NULL;
     if (info == NULL) {
         png_destroy_read_struct(&png, &info, NULL);
         return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for reading a PNG image");
     }
-    bool good = read_rows(png, info, &job, max_pixels, out);
+    bool good = read_rows(png, info, &job, max_pixels, memory, out);
     png_destroy_read_struct(&png, &info, NULL);
     if (good || job.result != SVO_OK) return job.result;
     if (strstr(job.message, "memory") != NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "PNG image: %s", job.message);

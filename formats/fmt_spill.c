@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/statfs.h>
 #include <sys/statvfs.h>
@@ -233,6 +234,36 @@ static void spill_close(void *user, void *file)
     free(f);
 }
 
+/* Space is taken before anything is mapped: a write to a mapping that the disk has no room for would end the process. */
+static svo_result spill_map(void *user, void *file, uint64_t offset, uint64_t size, void **data, svo_error *err)
+{
+    fmt_spill *s = user;
+    spilled *f = file;
+    if (offset > INT64_MAX || size > INT64_MAX - offset) return svo_fail(err, SVO_LIMIT, "a temporary file of more than 2^63 bytes");
+    SVO_TRY(charge(s, f, offset + size, err));
+    int code;
+    do code = posix_fallocate(f->fd, (off_t)offset, (off_t)size);
+    while (code == EINTR);
+    if (code == ENOSPC || code == EDQUOT || code == EFBIG) return full(s, fmt_spill_count(s).bytes_now - size, size, strerror(code), err);
+    if (code != 0) return svo_fail(err, SVO_IO, "temporary files in %.150s: cannot take space: %s", s->folder, strerror(code));
+    void *p = size <= SIZE_MAX ? mmap(NULL, (size_t)size, PROT_READ | PROT_WRITE, MAP_SHARED, f->fd, (off_t)offset) : MAP_FAILED;
+    if (p == MAP_FAILED) return svo_fail(err, SVO_IO, "temporary files in %.150s: cannot map: %s", s->folder, strerror(errno));
+    *data = p;
+    return SVO_OK;
+}
+
+static void spill_unmap(void *user, void *data, uint64_t size)
+{
+    (void)user;
+    munmap(data, (size_t)size);
+}
+
+static void spill_forget(void *user, void *data, uint64_t size)
+{
+    (void)user;
+    fmt_bytes_forget(data, size);
+}
+
 /* --- the object ----------------------------------------------------------------------------------------------- */
 
 svo_result fmt_spill_open(const fmt_spill_options *o, fmt_spill **out, svo_error *err)
@@ -258,7 +289,7 @@ svo_result fmt_spill_open(const fmt_spill_options *o, fmt_spill **out, svo_error
     s->reserve = o->reserve;
     s->looked = LOOK_EVERY; /* look at the first write */
     pthread_mutex_init(&s->lock, NULL);
-    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close};
+    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close, spill_map, spill_unmap, spill_forget};
     *out = s;
     return SVO_OK;
 }

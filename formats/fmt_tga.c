@@ -78,6 +78,7 @@ static uint8_t *place(const tga *t, svo_image *out, uint64_t i)
     uint64_t x = i % t->width, y = i / t->width;
     if (t->right_to_left) x = t->width - 1 - x;
     if (!t->top_down) y = t->height - 1 - y;
+    svo_image_touch(out, (uint32_t)x, (uint32_t)y, 1);
     return out->pixels + 4 * (y * t->width + x);
 }
 
@@ -101,7 +102,7 @@ static svo_result unpack(const tga *t, fmt_cursor *c, svo_image *out, svo_error 
     return SVO_OK;
 }
 
-svo_result image_decode_tga(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, svo_image *out,
+svo_result image_decode_tga(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const image_memory *memory, svo_image *out,
                             svo_error *err)
 {
     tga t = {0};
@@ -116,6 +117,6 @@ svo_result image_decode_tga(const uint8_t *bytes, uint64_t size, uint64_t max_pi
     /* A packet holds at most 128 pixels and takes two bytes at least. */
     uint64_t pixels = (uint64_t)t.width * t.height, left = size - c.at, step = (t.bits + 7) / 8;
     if (t.packed ? pixels / 128 > left : pixels > left / step) return bad(err, "the file is too short for the size it states");
-    SVO_TRY(image_allocate("TGA", t.width, t.height, max_pixels, a, out, err));
+    SVO_TRY(image_allocate("TGA", t.width, t.height, max_pixels, memory, out, err));
     return unpack(&t, &c, out, err);
 }

@@ -189,11 +189,11 @@ void import_images_free(import_images *images)
     svo_buffer_free(&images->keys);
 }
 
-svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size,
+svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size, bool mapped,
                             uint32_t *index, svo_error *err)
 {
     svo_image image = {0};
-    SVO_TRY(fmt_image_decode(bytes, size, c->max_image_pixels, c->allocator, &image, err));
+    SVO_TRY(fmt_image_decode_paged(bytes, size, mapped, c->max_image_pixels, c->allocator, c->pager, &image, err));
     if (image.name != NULL) svo_string_free(c->allocator, image.name);
     image.name = svo_string_copy(c->allocator, name);
     if (image.name == NULL || svo_buffer_append(&images->list, &image, sizeof image) == NULL) {
@@ -233,10 +233,11 @@ svo_result import_image_find(import_images *images, const import_context *c, con
         svo_error why = {0};
         svo_result r = import_open(c, path, &bytes, &why);
         if (r == SVO_OK) {
-            r = import_image_add(images, c, reference, bytes.data, bytes.size, &at, &why);
+            r = import_image_add(images, c, reference, bytes.data, bytes.size, bytes.mapped, &at, &why);
             fmt_bytes_close(&bytes);
+            if (r == SVO_IO) return svo_fail(err, r, "%s", why.message); /* of temporary files */
         }
-        if (r == SVO_OUT_OF_MEMORY) return import_no_memory(err);
+        if (r == SVO_OUT_OF_MEMORY) return svo_fail(err, r, "texture '%.80s': %s", reference, why.message);
         if (r != SVO_OK) {
             at = SVO_NONE;
             svo_warn(c->warnings, "%s: texture '%.80s' could not be read (%.100s); the material's colour is used alone", c->path,

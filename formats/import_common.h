@@ -25,6 +25,7 @@ typedef struct import_context {
     void *file_read_user;
     const svo_spill *spill; /* may be NULL */
     uint64_t memory;        /* what a spilling import may take, about */
+    svo_pager *pager;       /* may be NULL */
     bool spilling;          /* read window by window into the spill */
     bool mapped;            /* the model's bytes are a mapped file */
     svo_buffer *opened;     /* import_opened: every file that was opened, to look at again in the end; NULL: not noted */
@@ -63,11 +64,11 @@ typedef struct import_images {
 } import_images;
 void import_images_init(import_images *images, const import_context *c);
 void import_images_free(import_images *images);
-/* Decode and append. *index is its place. */
-svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size,
+/* Decode and append. *index is its place. SVO_IO: there is no room for temporary files. mapped: as in fmt_bytes. */
+svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size, bool mapped,
                             uint32_t *index, svo_error *err);
-/* The image that a reference names, read once; SVO_NONE with a warning when it is missing or broken. Only
- * out-of-memory is an error. */
+/* The image that a reference names, read once; SVO_NONE with a warning when it is missing or broken. Only want of memory and of room for
+ * temporary files are errors. */
 svo_result import_image_find(import_images *images, const import_context *c, const char *reference, uint32_t *index, svo_error *err);
 /* Move into the mesh. */
 svo_result import_images_finish(import_images *images, svo_mesh *mesh, svo_error *err);

@@ -148,24 +148,35 @@ static svo_image *image_of(mtl_parser *t, uint32_t index)
 static svo_result opacity_image(mtl_parser *t, svo_texture *opacity, svo_error *err)
 {
     const svo_allocator *a = t->context->allocator;
+    svo_pager *pager = t->context->pager;
     const svo_image *from = image_of(t, opacity->image);
     if (!from->has_alpha) return SVO_OK;
     uint64_t pixels = (uint64_t)from->width * from->height;
     svo_image copy = {.width = from->width, .height = from->height};
+    if (pager != NULL && from->paged != NULL) {
+        SVO_TRY(svo_paged_create(pager, 4 * pixels, &copy.paged, err));
+        copy.pixels = copy.paged->data;
+    } else {
+        copy.pixels = svo_alloc(a, pixels, 4);
+    }
     copy.name = svo_string_copy(a, from->name);
-    copy.pixels = svo_alloc(a, pixels, 4);
     if (copy.name == NULL || copy.pixels == NULL) {
         svo_string_free(a, copy.name);
-        svo_free(a, copy.pixels, pixels, 4);
+        svo_image_free_pixels(a, &copy);
         return import_no_memory(err);
     }
-    for (uint64_t i = 0; i < pixels; i++) {
-        memset(copy.pixels + 4 * i, from->pixels[4 * i + 3], 3);
-        copy.pixels[4 * i + 3] = 255;
+    for (uint32_t y = 0; y < copy.height; y++) {
+        svo_image_touch(from, 0, y, copy.width);
+        svo_image_touch(&copy, 0, y, copy.width);
+        const uint64_t row = (uint64_t)y * copy.width;
+        for (uint64_t i = row; i < row + copy.width; i++) {
+            memset(copy.pixels + 4 * i, from->pixels[4 * i + 3], 3);
+            copy.pixels[4 * i + 3] = 255;
+        }
     }
     if (svo_buffer_append(&t->set->images.list, &copy, sizeof copy) == NULL) {
         svo_string_free(a, copy.name);
-        svo_free(a, copy.pixels, pixels, 4);
+        svo_image_free_pixels(a, &copy);
         return import_no_memory(err);
     }
     opacity->image = (uint32_t)(t->set->images.list.size / sizeof copy - 1);

@@ -32,6 +32,14 @@ svo_material svo_material_default(void)
     return m;
 }
 
+void svo_image_free_pixels(const svo_allocator *a, svo_image *image)
+{
+    if (image->paged != NULL) svo_paged_free(image->paged);
+    else svo_free(a, image->pixels, (uint64_t)image->width * image->height, 4);
+    image->paged = NULL;
+    image->pixels = NULL;
+}
+
 void svo_mesh_free(svo_mesh *mesh)
 {
     if (mesh == NULL) return;
@@ -59,7 +67,7 @@ void svo_mesh_free(svo_mesh *mesh)
         svo_string_free(a, mesh->cameras[i].name);
     for (uint32_t i = 0; mesh->images != NULL && i < mesh->image_count; i++) {
         svo_image *image = &mesh->images[i];
-        svo_free(a, image->pixels, (uint64_t)image->width * image->height, 4);
+        svo_image_free_pixels(a, image);
         svo_string_free(a, image->name);
     }
     svo_free(a, mesh->shapes, mesh->shape_count, sizeof(svo_shape));
@@ -96,7 +104,12 @@ svo_mesh_counts svo_mesh_count(const svo_mesh *mesh)
         const svo_shape *shape = &mesh->shapes[mesh->instances[i].shape];
         for (uint32_t p = 0; p < shape->part_count; p++) c.placed_triangles += shape->parts[p].triangle_count;
     }
-    for (uint32_t i = 0; i < mesh->image_count; i++) c.bytes += (uint64_t)mesh->images[i].width * mesh->images[i].height * 4;
+    for (uint32_t i = 0; i < mesh->image_count; i++) {
+        const uint64_t bytes = (uint64_t)mesh->images[i].width * mesh->images[i].height * 4;
+        const bool paged = mesh->images[i].paged != NULL;
+        c.paged_images += paged;
+        *(paged ? &c.paged_bytes : &c.bytes) += bytes;
+    }
     return c;
 }
 

@@ -9,6 +9,7 @@
 
 #include "svo_alloc.h"
 #include "svo_math.h"
+#include "svo_pager.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,7 +25,15 @@ typedef struct svo_image {
     uint32_t width, height;
     uint8_t *pixels; /* width * height * 4 */
     bool has_alpha;  /* some pixel has alpha < 255 */
+    svo_paged *paged; /* not NULL: pixels are its data, and are touched before they are read. Only importers that are given a pager do that */
 } svo_image;
+/* Make pixels [x, x + count) of row y ready to be used. */
+static inline void svo_image_touch(const svo_image *image, uint32_t x, uint32_t y, uint32_t count)
+{
+    if (image->paged != NULL) svo_paged_touch(image->paged, image->pixels + 4 * ((uint64_t)y * image->width + x), 4 * (uint64_t)count);
+}
+/* Frees the pixels alone. */
+void svo_image_free_pixels(const svo_allocator *a, svo_image *image);
 
 typedef enum svo_wrap { SVO_WRAP_REPEAT, SVO_WRAP_CLAMP, SVO_WRAP_MIRROR } svo_wrap;
 
@@ -118,6 +127,7 @@ typedef struct svo_mesh_counts {
     uint64_t placed_triangles;                /* with instances */
     uint64_t bytes;                           /* of all arrays and images in memory */
     uint64_t spilled_triangles, spilled_bytes; /* of the above: outside of memory, and what they take there */
+    uint64_t paged_images, paged_bytes;        /* images in temporary files; not in `bytes` */
 } svo_mesh_counts;
 /* Counted in time linear in parts and instances; names and the structs themselves are not in `bytes`. */
 svo_mesh_counts svo_mesh_count(const svo_mesh *mesh);

@@ -21,6 +21,12 @@ typedef struct svo_spill {
     /* The range will not be read again: give its space back. A hint; may be NULL. */
     void (*discard)(void *user, void *file, uint64_t offset, uint64_t size);
     void (*close)(void *user, void *file); /* and throw the content away */
+    /* Bytes [offset, offset + size) of a file as memory to be read and written, zeros at first; both are multiples of 64 KiB. Their space on
+     * the disk is taken at once. unmap leaves the space to discard. forget: drop the pages of a mapping from this process's
+     * memory, until they are used again; also of mappings of other files, by any thread. NULL: not supported. */
+    svo_result (*map)(void *user, void *file, uint64_t offset, uint64_t size, void **data, svo_error *err);
+    void (*unmap)(void *user, void *data, uint64_t size);
+    void (*forget)(void *user, void *data, uint64_t size);
 } svo_spill;
 
 /* One file of a spill. Zero-initialised: not open, and closing it does nothing. */

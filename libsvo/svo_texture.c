@@ -5,6 +5,20 @@
 
 #include "svo_channel.h"
 
+/* Is some level outside of memory? */
+static inline bool is_paged(const svo_pyramid *p) { return p->outside; }
+/* Make texels [x, x + count) of row y ready to be used; also their alpha. */
+static void touch(const svo_pyramid *p, uint32_t level, uint32_t x, uint32_t y, uint32_t count)
+{
+    const uint64_t at = (uint64_t)y * p->width[level] + x;
+    if (level == 0) {
+        svo_image_touch(p->image, x, y, count);
+    } else if (p->paged != NULL) {
+        svo_paged_touch(p->paged, p->texels[level] + 4 * at, 8 * (uint64_t)count);
+        if (p->most[level] != NULL) svo_paged_touch(p->paged, p->most[level] + at, count);
+    }
+}
+
 static inline void texel(const svo_pyramid *p, uint32_t level, uint32_t x, uint32_t y, float out[4])
 {
     if (level != 0) {
@@ -28,7 +42,10 @@ static bool halved(svo_pyramid *p, uint32_t to)
     const uint32_t from = to - 1, w = p->width[from], h = p->height[from];
     if (w != 2 * p->width[to] || h != 2 * p->height[to]) return false;
     uint16_t *out = p->texels[to];
-    for (uint32_t y = 0; y < p->height[to]; y++)
+    for (uint32_t y = 0; y < p->height[to]; y++) {
+        touch(p, from, 0, 2 * y, w);
+        touch(p, from, 0, 2 * y + 1, w);
+        touch(p, to, 0, y, p->width[to]);
         for (uint32_t x = 0; x < p->width[to]; x++, out += 4) {
             const uint64_t at = 2 * ((uint64_t)y * w + x), corner[4] = {at, at + 1, at + w, at + w + 1};
             if (from != 0) {
@@ -54,6 +71,7 @@ static bool halved(svo_pyramid *p, uint32_t to)
             }
             p->most[to][(uint64_t)y * p->width[to] + x] = most;
         }
+    }
     return true;
 }
 
@@ -62,7 +80,9 @@ static void average_level(svo_pyramid *p, uint32_t to)
 {
     if (halved(p, to)) return;
     uint32_t from = to - 1, n[2] = {p->width[from], p->height[from]}, m[2] = {p->width[to], p->height[to]};
-    for (uint32_t y = 0; y < m[1]; y++)
+    for (uint32_t y = 0; y < m[1]; y++) {
+        for (uint64_t j = (uint64_t)y * n[1] / m[1]; j * m[1] < ((uint64_t)y + 1) * n[1]; j++) touch(p, from, 0, (uint32_t)j, n[0]);
+        touch(p, to, 0, y, m[0]);
         for (uint32_t x = 0; x < m[0]; x++) {
             double sum[4] = {0, 0, 0, 0};
             uint8_t most = 0;
@@ -88,12 +108,31 @@ static void average_level(svo_pyramid *p, uint32_t to)
             for (int k = 0; k < 4; k++) p->texels[to][4 * at + (uint64_t)k] = (uint16_t)(sum[k] / area * 65535 + 0.5);
             if (p->most[to] != NULL) p->most[to][at] = most;
         }
+    }
+}
+
+/* Room for all levels above the image, in one array of the image's pager. */
+static svo_result place_levels(svo_pyramid *p, svo_error *err)
+{
+    uint64_t texels = 0;
+    for (uint32_t l = 1; l < p->levels; l++) texels += (uint64_t)p->width[l] * p->height[l];
+    if (texels == 0) return SVO_OK;
+    SVO_TRY(svo_paged_create(p->image->paged->pager, texels * (p->kind == SVO_TEXEL_COLOR_ALPHA ? 9 : 8), &p->paged, err));
+    uint8_t *at = p->paged->data, *alpha = at + 8 * texels;
+    for (uint32_t l = 1; l < p->levels; l++) {
+        const uint64_t count = (uint64_t)p->width[l] * p->height[l];
+        p->texels[l] = (uint16_t *)(void *)at;
+        at += 8 * count;
+        if (p->kind == SVO_TEXEL_COLOR_ALPHA) p->most[l] = alpha, alpha += count;
+    }
+    return SVO_OK;
 }
 
 void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out)
 {
     *out = (svo_pyramid){.image = image, .kind = kind, .levels = 1};
     for (int i = 0; i < 256; i++) out->linear[i] = svo_srgb_to_linear((uint8_t)i);
+    out->outside = image->paged != NULL;
     out->width[0] = image->width;
     out->height[0] = image->height;
 }
@@ -107,6 +146,13 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
         uint32_t l = p.levels++;
         p.width[l] = p.width[l - 1] > 1 ? p.width[l - 1] / 2 : 1;
         p.height[l] = p.height[l - 1] > 1 ? p.height[l - 1] / 2 : 1;
+    }
+    if (is_paged(&p)) SVO_TRY(place_levels(&p, err));
+    for (uint32_t l = 1; l < p.levels; l++) {
+        if (is_paged(&p)) {
+            average_level(&p, l);
+            continue;
+        }
         uint64_t count = (uint64_t)p.width[l] * p.height[l];
         p.texels[l] = svo_alloc(a, count, 8);
         if (kind == SVO_TEXEL_COLOR_ALPHA) p.most[l] = svo_alloc(a, count, 1);
@@ -123,6 +169,12 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
 void svo_pyramid_free(svo_pyramid *p)
 {
     if (p == NULL) return;
+    if (p->paged != NULL) {
+        svo_paged_free(p->paged);
+        p->paged = NULL;
+        p->levels = 0;
+        return;
+    }
     for (uint32_t l = 1; l < p->levels; l++) {
         uint64_t count = (uint64_t)p->width[l] * p->height[l];
         svo_free(p->allocator, p->texels[l], count, 8);
@@ -170,6 +222,14 @@ static inline void texel_vector(const svo_pyramid *p, uint32_t level, uint32_t x
     memcpy(out, t, sizeof t);
 }
 
+static __attribute__((noinline)) void touch_corners(const svo_pyramid *p, uint32_t level, uint32_t x0, uint32_t x1, uint32_t y0, uint32_t y1)
+{
+    touch(p, level, x0, y0, 1);
+    touch(p, level, x1, y0, 1);
+    touch(p, level, x0, y1, 1);
+    touch(p, level, x1, y1, 1);
+}
+
 static void bilinear(const svo_pyramid *p, const svo_texture *how, uint32_t level, double u, double v, float out[4])
 {
     const uint32_t w = p->width[level], h = p->height[level];
@@ -182,6 +242,7 @@ static void bilinear(const svo_pyramid *p, const svo_texture *how, uint32_t leve
         x0 = wrap(fx, w, how->wrap_u), x1 = wrap(fx + 1, w, how->wrap_u);
         y0 = wrap(fy, h, how->wrap_v), y1 = wrap(fy + 1, h, how->wrap_v);
     }
+    if (is_paged(p)) touch_corners(p, level, x0, x1, y0, y1);
     texel4 a, b, c, d;
     const float s = (float)(x - fx), t = (float)(y - fy);
     texel_vector(p, level, x0, y0, &a);
@@ -200,10 +261,13 @@ void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, 
     u = sane(u);
     v = sane(v);
     if (!(level > 0)) {
-        if (how->nearest)
-            texel(p, 0, wrap(floor(u * p->width[0]), p->width[0], how->wrap_u), wrap(floor(v * p->height[0]), p->height[0], how->wrap_v), out);
-        else
+        if (how->nearest) {
+            const uint32_t x = wrap(floor(u * p->width[0]), p->width[0], how->wrap_u), y = wrap(floor(v * p->height[0]), p->height[0], how->wrap_v);
+            if (is_paged(p)) touch(p, 0, x, y, 1);
+            texel(p, 0, x, y, out);
+        } else {
             bilinear(p, how, 0, u, v, out);
+        }
         return;
     }
     uint32_t last = p->levels - 1;
@@ -244,7 +308,9 @@ float svo_pyramid_most_alpha(const svo_pyramid *p, const svo_texture *how, doubl
     uint8_t most = 0;
     for (double y = y0; y <= y1; y++)
         for (double x = x0; x <= x1; x++) {
-            uint64_t at = (uint64_t)wrap(y, h, how->wrap_v) * w + wrap(x, w, how->wrap_u);
+            const uint32_t column = wrap(x, w, how->wrap_u), row = wrap(y, h, how->wrap_v);
+            const uint64_t at = (uint64_t)row * w + column;
+            if (is_paged(p)) touch(p, level, column, row, 1);
             uint8_t a = level == 0 ? p->image->pixels[4 * at + 3] : p->most[level][at];
             if (a > most) most = a;
         }

@@ -28,6 +28,8 @@ typedef struct svo_pyramid {
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
     float linear[256]; /* of a byte of level 0 */
     const svo_allocator *allocator;
+    bool outside;     /* the image is paged, */
+    svo_paged *paged; /* and levels 1.. are in this */
 } svo_pyramid;
 
 /* The image is borrowed. SVO_OUT_OF_MEMORY. */

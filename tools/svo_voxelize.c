@@ -20,6 +20,8 @@ static const char *const disks[] = {"fast", "small", NULL};
 static const char *const beside[] = {"D", NULL}; /* -MD */
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 
+static const uint64_t MOST_PAGES = (uint64_t)1 << 30; /* bytes of textures in temporary files that are in memory at a time */
+
 typedef struct tool_options {
     uint64_t depth;
     double voxel_size;
@@ -40,7 +42,7 @@ typedef struct tool_options {
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
-static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *spill, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
+static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *spill, svo_pager *pager, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
 {
     uint32_t count = (uint32_t)c->input_count, done = 0;
     svo_mesh *meshes = calloc(count, sizeof *meshes);
@@ -49,7 +51,7 @@ static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *sp
     for (; r == SVO_OK && done < count; done++) {
         size_t first = read->count;
         fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read,
-                                .spill = spill != NULL ? fmt_spill_files(spill) : NULL, .memory = c->memory};
+                                .spill = spill != NULL ? fmt_spill_files(spill) : NULL, .memory = c->memory, .pager = pager};
         r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
         if (r == SVO_OK && read->failed) {
             svo_mesh_free(&meshes[done]);
@@ -83,6 +85,8 @@ static void report_input(cli *c, const svo_mesh *mesh)
     cli_put_u64(o, "bytes", n.bytes);
     cli_put_u64(o, "spilled_triangles", n.spilled_triangles);
     cli_put_u64(o, "spilled_bytes", n.spilled_bytes);
+    cli_put_u64(o, "paged_images", n.paged_images);
+    cli_put_u64(o, "paged_bytes", n.paged_bytes);
 }
 
 /* Against dense samples of the surface. */
@@ -341,9 +345,12 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         }
         if (fmt_spill_in_memory(j.spill)) svo_warn(&c->warnings, "temporary files in %s would lie in memory (tmpfs); choose a disk with --temp", fmt_spill_folder(j.spill));
     }
+    svo_pager *pager = NULL;
+    svo_result r = SVO_OK;
+    if (j.spill != NULL) r = svo_pager_create(fmt_spill_files(j.spill), c->memory / 8 < MOST_PAGES ? c->memory / 8 : MOST_PAGES, c->memory / 4, &limit.base, &pager, err);
     cli_phase(c, "import");
     /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
-    svo_result r = import_all(c, &limit.base, j.spill, &mesh, inputs, &read, err);
+    if (r == SVO_OK) r = import_all(c, &limit.base, j.spill, pager, &mesh, inputs, &read, err);
     if (r == SVO_OK) {
         report_input(c, &mesh);
         r = identify(c, o, inputs, &read, &j, err);
@@ -357,6 +364,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         }
         svo_mesh_free(&mesh);
     }
+    svo_pager_free(pager);
     fmt_spill_close(j.spill);
     free(j.provenance);
     sources_free(&read);

@@ -28,22 +28,27 @@ struct builder {
         tried[i] = true;
         const gltf_image &from = d.images[i];
         svo_error why{};
+        bool opened = false;
         svo_result r = svo_guard(&why, [&]() -> svo_result {
             std::unique_ptr<gltf_bytes> fetched;
             const uint8_t *bytes;
             uint64_t size = 0;
+            bool mapped = d.context->mapped;
             if (from.buffer_view >= 0) {
                 bytes = gltf_view_bytes(d, from.buffer_view, &size);
             } else if (!from.uri.empty()) {
                 fetched = gltf_fetch(d, from.uri);
                 bytes = fetched->data;
                 size = fetched->size;
+                mapped = fetched->mapped.mapped;
             } else {
                 svo_throw(SVO_INVALID_DATA, "it has neither uri nor bufferView");
             }
-            return import_image_add(&images, d.context, from.name.c_str(), bytes, size, &place[i], &why);
+            opened = true;
+            return import_image_add(&images, d.context, from.name.c_str(), bytes, size, mapped, &place[i], &why);
         });
-        if (r == SVO_OUT_OF_MEMORY) throw std::bad_alloc();
+        if (r == SVO_OUT_OF_MEMORY) svo_throw(r, "%s: texture %zu (%.60s): %s", d.path(), i, from.name.c_str(), why.message);
+        if (r == SVO_IO && opened) svo_throw(r, "%s", why.message); /* of temporary files */
         if (r != SVO_OK) {
             place[i] = SVO_NONE;
             svo_warn(d.warnings(), "%s: image %zu could not be used (%.120s); the material's colour is used alone", d.path(), i, why.message);

@@ -1,5 +1,6 @@
 """svo-voxelize --memory: meshes larger than memory, full disks, inputs that change, runs that are killed."""
 
+import array
 import json
 import os
 import random
@@ -265,6 +266,62 @@ def test_files_beside_the_model_that_change(folder):
             check(changed in err and "changed" in err, err)
             check(not (folder / "a.svo").exists())
         (folder / "two.png").unlink()
+
+
+def textured_sheets(folder, images, side, cells, glb=False):
+    """As many wavy sheets as textures, each with triangles of its own; returns the path."""
+    rng = random.Random(4)
+    for i in range(images):
+        png(folder / ("t%d.png" % i), side, noise=rng)
+    points, uvs, indices = array.array("f"), array.array("f"), array.array("I")
+    for y in range(cells + 1):
+        for x in range(cells + 1):
+            points.extend((x / cells, 0.4 / cells * ((x * 7 + y * 13) % 5), y / cells))
+            uvs.extend((x / cells, y / cells))
+    for y in range(cells):
+        for x in range(cells):
+            a = y * (cells + 1) + x
+            indices.extend((a, a + cells + 1, a + 1, a + 1, a + cells + 1, a + cells + 2))
+    pieces, views, accessors = [points.tobytes(), uvs.tobytes(), indices.tobytes()], [], []
+    for i, (kind, component, count) in enumerate((("VEC3", 5126, len(points) // 3), ("VEC2", 5126, len(uvs) // 2), ("SCALAR", 5125, len(indices)))):
+        views.append({"buffer": 0, "byteOffset": sum(map(len, pieces[:i])), "byteLength": len(pieces[i])})
+        accessors.append({"bufferView": i, "componentType": component, "count": count, "type": kind})
+    accessors[0].update(min=[0, 0, 0], max=[1, 1.6 / cells, 1])
+    pictures = [{"uri": "t%d.png" % i} for i in range(images)]
+    if glb:
+        pictures = []
+        for i in range(images):
+            data = (folder / ("t%d.png" % i)).read_bytes()
+            pictures.append({"bufferView": len(views), "mimeType": "image/png"})
+            views.append({"buffer": 0, "byteOffset": sum(map(len, pieces)), "byteLength": len(data)})
+            pieces.append(data + b"\0" * (-len(data) % 4))
+    binary = b"".join(pieces)
+    gltf = {"asset": {"version": "2.0"}, "buffers": [{"byteLength": len(binary)}], "bufferViews": views, "accessors": accessors, "images": pictures,
+            "textures": [{"source": i} for i in range(images)], "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": i}}} for i in range(images)],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2, "material": i}]} for i in range(images)],
+            "nodes": [{"mesh": i, "translation": [1.05 * (i % 2), 0.1 * i, 0]} for i in range(images)], "scenes": [{"nodes": list(range(images))}], "scene": 0}
+    if not glb:
+        gltf["buffers"][0]["uri"] = "m.bin"
+        (folder / "m.bin").write_bytes(binary)
+        (folder / "m.gltf").write_text(json.dumps(gltf))
+        return folder / "m.gltf"
+    text = json.dumps(gltf).encode()
+    text += b" " * (-len(text) % 4)
+    (folder / "m.glb").write_bytes(struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(binary)) + struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary)
+    return folder / "m.glb"
+
+
+def test_textures_larger_than_memory(folder):
+    for glb in (False, True):
+        mesh = textured_sheets(folder, 4, 1500, 40, glb)
+        for memory, depth in ((24, 6), (48, 9)) if glb else ((24, 9),):
+            report = compare(folder, mesh, "%dM" % memory, memory << 20, "--depth", str(depth), "--reference", "300")
+            check(report["input"]["paged_images"] >= 3 and report["input"]["paged_bytes"] >= 3 * 4 * 1500**2, report["input"])
+            check(report["temporary_files"]["files_at_a_time"] <= 2, report["temporary_files"])
+    compare(folder, mesh, "32M", 32 << 20, "--depth", "8", "--threads", "3", "--attributes", "color,normal,coverage", "--reference", "0")
+    for mesh in (folder / "m.gltf", mesh):
+        r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "-f", "--depth", "8", "--memory", "24M", "--temp-size", "20M")
+        check(r.code == 6 and "texture" in r.err and "20971520" in r.err, r)
 
 
 def test_materials_that_change(folder):

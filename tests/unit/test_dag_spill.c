@@ -84,7 +84,7 @@ static void close_file(void *user, void *f)
 static void store_init(store *s)
 {
     *s = (store){.left = -1, .lock = PTHREAD_MUTEX_INITIALIZER};
-    s->spill = (svo_spill){s, create, write_bytes, read_bytes, NULL, close_file};
+    s->spill = (svo_spill){.user = s, .create = create, .write = write_bytes, .read = read_bytes, .close = close_file};
 }
 
 static svo_result pack(const tree *t, const svo_dag_options *o, svo_packed **out)

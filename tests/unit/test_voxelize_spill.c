@@ -224,7 +224,7 @@ TEST(a_disk_that_fails_is_passed_on_and_nothing_is_left)
     uint64_t failures = 0;
     for (uint64_t n = 0; !done && n < 1000; n += 1 + n / 3) {
         failing f = {.to = fmt_spill_files(s), .left = n};
-        svo_spill spill = {&f, f_create, f_write, f_read, NULL, f_close};
+        svo_spill spill = {.user = &f, .create = f_create, .write = f_write, .read = f_read, .close = f_close};
         svo_limit_allocator outer;
         svo_limit_allocator_init(&outer, UINT64_MAX, NULL);
         svo_voxelize_options o = at_depth(8, SVO_WANT_COLOR);
