@@ -9,6 +9,11 @@ const char *svo_scene_instance_name(const svo_scene *s, uint64_t instance)
     return s->instance_name != NULL ? s->names + s->instance_name[instance] : "";
 }
 
+const svo_pose *svo_scene_instance_pose(const svo_scene *s, uint64_t instance)
+{
+    return s->instance_pose != NULL && s->instance_pose[instance] != SVO_NO_POSE ? &s->poses.pose[s->instance_pose[instance]] : NULL;
+}
+
 svo_mat4 svo_scene_instance_transform(const svo_scene *s, uint32_t page, uint64_t instance)
 {
     const float *t = s->instance_transform + 12 * instance;

@@ -3,7 +3,7 @@
 #ifndef SVO_SCENE_H
 #define SVO_SCENE_H
 
-#include "svo_math.h"
+#include "svo_pose.h"
 #include "svo_view.h"
 
 #ifdef __cplusplus
@@ -29,6 +29,8 @@ typedef struct svo_scene {
     const uint32_t *instance_name;    /* offset into names; NULL when no instance has a name */
     const char *names;                /* NUL-terminated strings; offset 0 is "" */
     uint64_t names_size;
+    const uint32_t *instance_pose;    /* < poses.count or SVO_NO_POSE; NULL when no instance has a pose */
+    svo_poses poses;
     uint32_t page_count;
     const svo_scene_page *pages;      /* in order, covering all instances */
     bool has_camera;
@@ -38,6 +40,9 @@ typedef struct svo_scene {
 
 /* Name of an instance, "" if it has none. */
 const char *svo_scene_instance_name(const svo_scene *s, uint64_t instance);
+
+/* Pose of an instance, NULL if it has none. */
+const svo_pose *svo_scene_instance_pose(const svo_scene *s, uint64_t instance);
 
 /* Full transform of an instance in double precision. */
 svo_mat4 svo_scene_instance_transform(const svo_scene *s, uint32_t page, uint64_t instance);

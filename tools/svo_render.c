@@ -9,6 +9,7 @@
 #include "fmt_image.h"
 #include "fmt_scene.h"
 #include "fmt_svo.h"
+#include "render_pose.h"
 #include "svo_dag.h"
 #include "svo_render.h"
 
@@ -18,8 +19,13 @@ static struct {
     double eye[3], target[3], up[3], light[3], fov, ambient, footprint;
     bool eye_seen, target_seen, up_seen, fov_seen, no_shadows;
     uint64_t samples;
+    const char *deform, *save_svo;
+    double delta;
+    int resample;
 } ask = {.size = "1280x720", .background = "sky", .up = {0, 1, 0}, .light = {-0.45, 0.85, 0.65}, .fov = 40, .ambient = 0.35,
-         .footprint = 1, .samples = 1};
+         .footprint = 1, .samples = 1, .delta = 1};
+
+static const char *const resamples[] = {"auto", "direct", "resize", "emit", NULL};
 
 static const cli_option options[] = {
     {"size", 0, CLI_TEXT, &ask.size, "WxH", "Picture in pixels, 1 to 65536 a side, at most 2^28 in all.", 0, 0, NULL, NULL, false, "Picture"},
@@ -34,6 +40,12 @@ static const cli_option options[] = {
     {"light", 0, CLI_VEC3, ask.light, "x,y,z", "Direction towards the light.", 0, 0, NULL, NULL, false, "Light"},
     {"ambient", 0, CLI_DOUBLE, &ask.ambient, "A", "Share of the light that comes from everywhere.", 0, 1, NULL, NULL, false, "Light"},
     {"no-shadows", 0, CLI_FLAG, &ask.no_shadows, NULL, "Do not trace shadow rays.", 0, 0, NULL, NULL, false, "Light"},
+    {"deform", 0, CLI_TEXT, &ask.deform, "D", "Deform every asset: twist=y:90, bend=yx:45, shear=xy:0.5, scale=1:2:1 (degrees; joined by commas), in place of its pose.", 0, 0,
+     NULL, NULL, true, "Deformation"},
+    {"resample", 0, CLI_CHOICE, &ask.resample, "KIND", "How deformed voxels are drawn: cells of an octree of fixed (resize) or growing (emit) number, or as boxes (direct).", 0,
+     0, resamples, NULL, false, "Deformation"},
+    {"delta", 0, CLI_DOUBLE, &ask.delta, "S", "Take deformed nodes that are less than S samples wide.", 1e-3, 1e6, NULL, NULL, false, "Deformation"},
+    {"save-svo", 0, CLI_TEXT, &ask.save_svo, "F", "Write the octree of deformed voxels as .svo.", 0, 0, NULL, NULL, true, "Deformation"},
 };
 
 static const cli_tool tool = {
@@ -143,10 +155,12 @@ static bool ends_with(const char *text, const char *end)
 
 static svo_vec3 vec(const double v[3]) { return svo_v3(v[0], v[1], v[2]); }
 
+/* bvh NULL: by the bounds of the scene's pages. */
 static svo_result choose_camera(const svo_scene *scene, const svo_bvh *bvh, svo_render_options *o, const char **how, svo_error *err)
 {
     double low[3] = {0, 0, 0}, high[3] = {1, 1, 1}, fov = ask.fov * 3.14159265358979323846 / 180;
-    svo_bvh_bounds(bvh, low, high);
+    if (bvh != NULL) svo_bvh_bounds(bvh, low, high);
+    else svo_scene_bounds(scene, low, high);
     if (!ask.eye_seen && !ask.target_seen && scene->has_camera) {
         *how = "scene";
         return svo_eye_from_transform(&scene->camera_transform, ask.fov_seen ? fov : scene->camera_yfov, &o->eye, err);
@@ -227,8 +241,22 @@ static void report_picture(cli *c, const svo_render_options *o, const svo_render
 
 static void show_progress(void *user, double fraction) { cli_progress(user, "rendering", fraction); }
 
-static svo_result run(cli *c, svo_render_options *o, const svo_allocator *a, svo_error *err)
+/* A scene with poses to one without, for this picture; the camera is chosen on the way. */
+static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose_spec *spec, const char **camera, svo_error *err)
 {
+    if (spec != NULL) SVO_TRY(pose_scene(p, scene, spec, o->allocator, err));
+    bool everything = ask.save_svo != NULL && !has_poses(*scene); /* the octree of a scene without poses is that of all of it */
+    if (!has_poses(*scene) && !everything) return SVO_OK;
+    SVO_TRY(choose_camera(*scene, NULL, o, camera, err));
+    svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = everything,
+                                 .frustum = !o->shadows, .threads = o->threads, .allocator = o->allocator};
+    return unpose_scene(p, c, scene, &select, ask.resample, ask.save_svo, err);
+}
+
+static svo_result run(cli *c, svo_render_options *o, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err)
+{
+    posing posed = {0};
+    const svo_scene *scene;
     input in;
     memset(&in, 0, sizeof in);
     svo_bvh *bvh = NULL;
@@ -246,18 +274,20 @@ static svo_result run(cli *c, svo_render_options *o, const svo_allocator *a, svo
 
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
+    scene = in.scene;
+    if ((r = unpose(c, &posed, &scene, o, spec, &camera, err)) != SVO_OK) goto done;
     cli_phase(c, "hierarchy");
-    if ((r = svo_bvh_build(in.scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
+    if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
     report_input(c, &in, &b);
     if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
-    if ((r = choose_camera(in.scene, bvh, o, &camera, err)) != SVO_OK) goto done;
+    if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
     pixels = svo_alloc(a, count, 4);
     if (pixels == NULL) {
         r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u pixels", o->width, o->height);
         goto done;
     }
     cli_phase(c, "render");
-    if ((r = svo_render(bvh, in.scene, o, pixels, &stats, err)) != SVO_OK) goto done;
+    if ((r = svo_render(bvh, scene, o, pixels, &stats, err)) != SVO_OK) goto done;
     cli_phase(c, "write");
     uint32_t channels = 4;
     if (!o->transparent) {
@@ -278,6 +308,7 @@ done:
     fmt_output_discard(out);
     svo_free(a, pixels, count, 4);
     svo_bvh_free(bvh);
+    posing_close(&posed);
     close_input(&in);
     return r;
 }
@@ -294,6 +325,9 @@ int main(int argc, char **argv)
         return cli_usage(&c, "--background takes sky, transparent or r,g,b with 0..255 each, not \"%s\"", ask.background);
     if (svo_length(vec(ask.light)) == 0) return cli_usage(&c, "--light needs a direction, not 0,0,0");
     if (c.output == NULL) return cli_usage(&c, "-o OUT.png is missing");
+    svo_pose_spec spec;
+    const char *fault = ask.deform != NULL ? parse_deform(ask.deform, &spec) : NULL;
+    if (fault != NULL) return cli_usage(&c, "--deform %s: %s", ask.deform, fault);
     o.samples = (uint32_t)ask.samples;
     o.light = vec(ask.light);
     o.ambient = ask.ambient;
@@ -310,7 +344,7 @@ int main(int argc, char **argv)
     o.allocator = a;
     o.progress = show_progress;
     o.user = &c;
-    svo_result r = run(&c, &o, a, &err);
+    svo_result r = run(&c, &o, ask.deform != NULL ? &spec : NULL, a, &err);
     if (r == SVO_OUT_OF_MEMORY && c.memory != 0) r = svo_fail(&err, SVO_LIMIT, "the picture does not fit into --memory");
     return cli_end(&c, r, &err);
 }

@@ -1,0 +1,262 @@
+#include "svo_deform.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+typedef struct box { double low[3], high[3]; } box;
+
+static const box empty_box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+
+/* Join the image of [low, high] under the rows of m (Arvo 1990, figure 15). */
+static inline void join(box *b, const double m[12], const double low[3], const double high[3])
+{
+    for (int i = 0; i < 3; i++) {
+        const double *r = m + 4 * i;
+        double p0 = r[0] * low[0], q0 = r[0] * high[0], p1 = r[1] * low[1], q1 = r[1] * high[1], p2 = r[2] * low[2], q2 = r[2] * high[2];
+        double least = r[3] + (p0 < q0 ? p0 : q0) + (p1 < q1 ? p1 : q1) + (p2 < q2 ? p2 : q2);
+        double most = r[3] + (p0 < q0 ? q0 : p0) + (p1 < q1 ? q1 : p1) + (p2 < q2 ? q2 : p2);
+        /* (written so that NaN stays) */
+        if (!(least >= b->low[i])) b->low[i] = least;
+        if (!(most <= b->high[i])) b->high[i] = most;
+    }
+}
+
+void svo_deform_two(const svo_mat4 a[2], const double low[3], const double high[3], double out_low[3], double out_high[3])
+{
+    box b = empty_box;
+    join(&b, a[0].m, low, high);
+    join(&b, a[1].m, low, high);
+    memcpy(out_low, b.low, sizeof b.low);
+    memcpy(out_high, b.high, sizeof b.high);
+}
+
+/* ---- slices -------------------------------------------------------------------------------------------------------- */
+
+static double angle_at(const svo_slices *s, double at)
+{
+    if (at <= s->from) return 0;
+    if (at >= s->to) return s->angle;
+    return s->angle * ((at - s->from) / (s->to - s->from));
+}
+
+/* out = m * (the slice's own matrix). A twist turns columns u and v. */
+static void twist_slice(const svo_slices *s, double at, const double m[12], double out[12])
+{
+    double angle = angle_at(s, at), c = cos(angle), n = sin(angle);
+    for (int i = 0; i < 3; i++) {
+        const double *r = m + 4 * i;
+        double *w = out + 4 * i;
+        w[s->axis] = r[s->axis];
+        w[s->u] = c * r[s->u] + n * r[s->v];
+        w[s->v] = c * r[s->v] - n * r[s->u];
+        w[3] = r[3];
+    }
+}
+
+/* Where the bent line is at `at`, and the directions there: the point (x on u, at on axis) goes to
+ * u: x c + shift_u, axis: -x n + shift_axis. */
+static void bend_at(const svo_slices *s, double at, double *c, double *n, double *shift_u, double *shift_axis)
+{
+    double angle = angle_at(s, at);
+    *c = cos(angle), *n = sin(angle);
+    if (at <= s->from) {
+        *shift_u = 0, *shift_axis = at;
+        return;
+    }
+    double length = fmin(at, s->to) - s->from, beyond = fmax(at - s->to, 0);
+    /* (1 - cos a) / a and sin a / a, from the half angle so that small angles lose nothing */
+    double half = 0.5 * angle, sinc = fabs(half) < 1e-8 ? 1 : sin(half) / half;
+    double across = sinc * sin(half), along = sinc * cos(half);
+    *shift_u = length * across + beyond * *n;
+    *shift_axis = s->from + length * along + beyond * *c;
+}
+
+static void bend_slice(const svo_slices *s, double at, const double m[12], double out[12])
+{
+    double c, n, su, sa;
+    bend_at(s, at, &c, &n, &su, &sa);
+    for (int i = 0; i < 3; i++) {
+        const double *r = m + 4 * i;
+        double *w = out + 4 * i;
+        w[s->v] = r[s->v];
+        w[s->axis] = 0;
+        w[s->u] = c * r[s->u] - n * r[s->axis];
+        w[3] = r[3] + su * r[s->u] + sa * r[s->axis];
+    }
+}
+
+static inline void multiply(const double a[12], const double b[12], double out[12])
+{
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 4; j++)
+            out[4 * i + j] = a[4 * i] * b[j] + a[4 * i + 1] * b[4 + j] + a[4 * i + 2] * b[8 + j] + (j == 3 ? a[4 * i + 3] : 0);
+}
+
+/* Interval of one row over a box. */
+static inline void row_range(const double r[4], const double low[3], const double high[3], double *least, double *most)
+{
+    double a = r[3], b = r[3];
+    for (int k = 0; k < 3; k++) {
+        double p = r[k] * low[k], q = r[k] * high[k];
+        a += p < q ? p : q;
+        b += p < q ? q : p;
+    }
+    *least = a, *most = b;
+}
+
+static inline double farthest(double low, double high) { return fmax(fabs(low), fabs(high)); }
+
+/* Image of a box under out * slices * in. Between two slices every coordinate of a point is within second derivative * length^2 / 8 of the
+ * straight line between its images in both, and never farther than the arc's diameter. */
+static box through_slices(const svo_slices *s, bool twist, const double in[12], const double out[12], const double low[3], const double high[3])
+{
+    double at[4], first, last;
+    row_range(in + 4 * s->axis, low, high, &first, &last);
+    uint32_t n = 0;
+    at[n++] = first;
+    if (first < s->from && s->from < last) at[n++] = s->from;
+    if (first < s->to && s->to < last) at[n++] = s->to;
+    if (last > first) at[n++] = last;
+    double u0, u1, v0, v1, radius, rate = s->angle / (s->to - s->from);
+    row_range(in + 4 * s->u, low, high, &u0, &u1);
+    if (twist) {
+        row_range(in + 4 * s->v, low, high, &v0, &v1);
+        radius = hypot(farthest(u0, u1), farthest(v0, v1));
+    } else radius = farthest(1 - rate * u0, 1 - rate * u1) / fabs(rate); /* of the arc; infinite when straight */
+    box b = empty_box;
+    double away = 0;
+    for (uint32_t i = 0; i < n; i++) {
+        double slice[12], all[12];
+        if (twist) twist_slice(s, at[i], out, slice);
+        else bend_slice(s, at[i], out, slice);
+        multiply(slice, in, all);
+        join(&b, all, low, high);
+        if (i == 0) continue;
+        double turn = fabs(angle_at(s, at[i]) - angle_at(s, at[i - 1]));
+        if (turn != 0) away = fmax(away, fmin(radius * turn * turn / 8, 2 * radius));
+    }
+    if (!(away == 0)) {
+        uint32_t p = s->u, q = twist ? s->v : s->axis;
+        for (int i = 0; i < 3; i++) {
+            double w = away * hypot(out[4 * i + (int)p], out[4 * i + (int)q]);
+            b.low[i] -= w, b.high[i] += w;
+        }
+    }
+    return b;
+}
+
+/* ---- an instance ---------------------------------------------------------------------------------------------------- */
+
+static svo_slices slices(uint32_t axis, uint32_t u, float from, float to, float angle)
+{
+    return (svo_slices){.axis = axis, .u = u, .v = 3 - axis - u, .from = from, .to = to, .angle = angle};
+}
+
+svo_deform svo_deform_make(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target)
+{
+    svo_deform d = {.poses = poses, .grid = *grid_to_mesh, .out = *mesh_to_target};
+    svo_mat4 after = svo_mat4_identity();
+    if (pose != NULL) {
+        d.flags = pose->flags;
+        if ((d.flags & SVO_POSE_MATRIX) != 0) after = svo_pose_matrix(poses, pose->matrix);
+        if ((d.flags & SVO_POSE_TWIST) != 0)
+            d.twist = slices(pose->twist_axis, (pose->twist_axis + 1u) % 3, pose->twist_from, pose->twist_to, pose->twist_angle);
+        if ((d.flags & SVO_POSE_BEND) != 0) d.bend = slices(pose->bend_axis, pose->bend_towards, pose->bend_from, pose->bend_to, pose->bend_angle);
+        if ((d.flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) != 0) {
+            svo_mat4 back = svo_mat4_identity();
+            for (int k = 0; k < 3; k++) after.m[4 * k + 3] -= pose->pivot[k], back.m[4 * k + 3] = pose->pivot[k];
+            d.out = svo_mat4_mul(*mesh_to_target, back);
+        }
+        d.bone_first = pose->bone_first, d.bone_count = pose->bone_count;
+    }
+    d.in = (d.flags & SVO_POSE_BONES) != 0 ? after : svo_mat4_mul(after, *grid_to_mesh);
+    return d;
+}
+
+/* Grid to the pose's coordinates before twist and bend. */
+static svo_mat4 inner(const svo_deform *d, uint32_t bone)
+{
+    if ((d->flags & SVO_POSE_BONES) == 0) return d->in;
+    if (bone >= d->bone_count) return svo_mat4_mul(d->in, d->grid);
+    svo_mat4 b = svo_pose_matrix(d->poses, (uint64_t)d->bone_first + bone);
+    return svo_mat4_mul(d->in, svo_mat4_mul(b, d->grid));
+}
+
+static svo_vec3 slices_point(const svo_slices *s, bool twist, svo_vec3 p)
+{
+    double q[3] = {p.x, p.y, p.z}, r[3] = {p.x, p.y, p.z};
+    if (twist) {
+        double angle = angle_at(s, q[s->axis]), c = cos(angle), n = sin(angle);
+        r[s->u] = c * q[s->u] - n * q[s->v];
+        r[s->v] = n * q[s->u] + c * q[s->v];
+    } else {
+        double c, n, su, sa;
+        bend_at(s, q[s->axis], &c, &n, &su, &sa);
+        r[s->u] = c * q[s->u] + su;
+        r[s->axis] = sa - n * q[s->u];
+    }
+    return svo_v3(r[0], r[1], r[2]);
+}
+
+static svo_vec3 point_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p)
+{
+    p = svo_mat4_point(in, p);
+    if ((d->flags & SVO_POSE_TWIST) != 0) p = slices_point(&d->twist, true, p);
+    if ((d->flags & SVO_POSE_BEND) != 0) p = slices_point(&d->bend, false, p);
+    return svo_mat4_point(&d->out, p);
+}
+
+svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p)
+{
+    svo_mat4 in = inner(d, bone);
+    return point_after(d, &in, p);
+}
+
+void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3])
+{
+    static const double identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
+    svo_mat4 in = inner(d, bone);
+    box b;
+    switch (d->flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) {
+    case SVO_POSE_TWIST: b = through_slices(&d->twist, true, in.m, d->out.m, low, high); break;
+    case SVO_POSE_BEND: b = through_slices(&d->bend, false, in.m, d->out.m, low, high); break;
+    case SVO_POSE_TWIST | SVO_POSE_BEND: {
+        box t = through_slices(&d->twist, true, in.m, identity, low, high);
+        b = through_slices(&d->bend, false, identity, d->out.m, t.low, t.high);
+        break;
+    }
+    default: {
+        double all[12];
+        multiply(d->out.m, in.m, all);
+        b = empty_box;
+        join(&b, all, low, high);
+    }
+    }
+    /* Rounding of the sums, here and of whoever maps a point. */
+    for (int i = 0; i < 3; i++) {
+        double slack = 64 * DBL_EPSILON * farthest(b.low[i], b.high[i]);
+        out_low[i] = b.low[i] - slack;
+        out_high[i] = b.high[i] + slack;
+    }
+}
+
+svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n)
+{
+    svo_mat4 in = inner(d, bone);
+    svo_vec3 g = svo_v3(0, 0, 0), column[3];
+    /* as a covector of the grid: n in mesh coordinates times the transposed map */
+    const double *m = d->grid.m;
+    g.x = m[0] * n.x + m[4] * n.y + m[8] * n.z;
+    g.y = m[1] * n.x + m[5] * n.y + m[9] * n.z;
+    g.z = m[2] * n.x + m[6] * n.y + m[10] * n.z;
+    double h = 0.25 * edge;
+    for (int k = 0; k < 3; k++) {
+        svo_vec3 step = svo_v3(k == 0 ? h : 0, k == 1 ? h : 0, k == 2 ? h : 0);
+        column[k] = svo_sub(point_after(d, &in, svo_add(p, step)), point_after(d, &in, svo_sub(p, step)));
+    }
+    svo_vec3 a = svo_cross(column[1], column[2]), b = svo_cross(column[2], column[0]), c = svo_cross(column[0], column[1]);
+    double sign = svo_dot(column[0], a) < 0 ? -1 : 1; /* a reflection keeps the side */
+    svo_vec3 r = svo_add(svo_scale(a, g.x), svo_add(svo_scale(b, g.y), svo_scale(c, g.z)));
+    return svo_normalize(svo_scale(r, sign));
+}

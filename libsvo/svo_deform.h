@@ -1,0 +1,63 @@
+/* Sparse volumetric deformation (Willcocks 2013, chapter 3): where the boxes of an octree go under an instance's pose and transform.
+ *
+ * A box is mapped to an axis-aligned box that encloses the image of every point of it. Figure 16 of the thesis maps a voxel by the two matrices
+ * at its two extreme corners and joins the two boxes; here these are the matrices of the slices through its two ends, and the result is widened by the
+ * largest distance between the curve that a point really follows and the chord between the two: second derivative * length^2 / 8. So
+ *  - images of boxes that touch, touch: both hold the image of what they share. Figure 16 alone keeps neighbours joined that share an extreme corner's
+ *    matrix, but not neighbours at different levels, nor long boxes in a steep twist;
+ *  - the image of an octree's node holds the images of all nodes below it, which hierarchical selection needs (a test: at any angle). */
+#ifndef SVO_DEFORM_H
+#define SVO_DEFORM_H
+
+#include "svo_pose.h"
+#include "svo_scene.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define SVO_NO_BONE UINT32_MAX
+
+/* Figure 16: bounds of a box under both matrices (3x4 rows of svo_mat4). */
+void svo_deform_two(const svo_mat4 a[2], const double low[3], const double high[3], double out_low[3], double out_high[3]);
+
+/* A part that moves slices across an axis: twist or bend. Private. */
+typedef struct svo_slices {
+    uint32_t axis, u, v; /* twist: turns u towards v; bend: axis line bends towards u */
+    double from, to, angle;
+} svo_slices;
+
+/* An instance's map from the grid of its asset to a target space, made ready. Plain data, owns nothing; the scene's arrays are borrowed. */
+typedef struct svo_deform {
+    uint32_t flags; /* of the pose */
+    svo_mat4 in;    /* grid to the pose's coordinates, relative to its pivot, after its matrix */
+    svo_mat4 out;   /* pose's coordinates relative to the pivot to the target space */
+    svo_slices twist, bend;
+    svo_mat4 grid;  /* grid to mesh; with bones, `in` is what comes after them */
+    const svo_poses *poses;
+    uint32_t bone_first, bone_count;
+} svo_deform;
+
+/* pose NULL: none. grid_to_mesh: the asset's voxel_to_world; mesh_to_target: the instance's transform (or any affine map after it). */
+svo_deform svo_deform_make(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target);
+
+/* Image of a point, box (as said above) and unit normal at a point. `bone` is the label of the channel `bone`, SVO_NO_BONE without
+ * one; it means nothing to a pose without bones. A box that overflows has bounds that are not finite. */
+svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p);
+void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3]);
+/* `edge`: of the voxel at p, grid units. Zero where the map is flat there. n in mesh coordinates. */
+svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n);
+
+/* Box of an instance in scene coordinates under its pose, for a box of its asset's grid (its voxels' bounds); false when it is not finite. */
+bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3]);
+
+/* A copy of a scene in which every instance has the pose that the spec gives for its asset, with new bounds of the pages. The source is borrowed. */
+typedef struct svo_posed_scene svo_posed_scene;
+svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose_spec *spec, const svo_allocator *a, svo_posed_scene **out, svo_error *err);
+const svo_scene *svo_posed_scene_get(const svo_posed_scene *p);
+void svo_posed_scene_free(svo_posed_scene *p);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,129 @@
+/* Bounds of posed instances, and scenes posed as a whole. */
+#include <math.h>
+#include <string.h>
+
+#include "svo_deform.h"
+
+static void join(double low[3], double high[3], const double l[3], const double h[3])
+{
+    for (int k = 0; k < 3; k++) {
+        if (!(l[k] >= low[k])) low[k] = l[k];
+        if (!(h[k] <= high[k])) high[k] = h[k];
+    }
+}
+
+bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3])
+{
+    svo_mat4 grid, place = svo_scene_instance_transform(s, page, instance);
+    const svo_pose *pose = svo_scene_instance_pose(s, instance);
+    memcpy(grid.m, s->assets[s->instance_asset[instance]]->voxel_to_world, sizeof grid.m);
+    if (pose == NULL) {
+        svo_mat4 m = svo_mat4_mul(place, grid);
+        svo_box_transform(&m, grid_low, grid_high, 16, low, high);
+    } else {
+        svo_deform d = svo_deform_make(&s->poses, pose, &grid, &place);
+        svo_deform_box(&d, SVO_NO_BONE, grid_low, grid_high, low, high);
+        for (uint32_t b = 0; b < d.bone_count; b++) {
+            double l[3], h[3];
+            svo_deform_box(&d, b, grid_low, grid_high, l, h);
+            join(low, high, l, h);
+        }
+    }
+    for (int k = 0; k < 3; k++)
+        if (!isfinite(low[k]) || !isfinite(high[k])) return false;
+    return true;
+}
+
+struct svo_posed_scene {
+    svo_scene scene;
+    const svo_allocator *allocator;
+    const svo_scene *source;
+    svo_pose *pose;
+    float *matrix;
+    uint32_t *instance_pose;
+    svo_scene_page *pages;
+};
+
+const svo_scene *svo_posed_scene_get(const svo_posed_scene *p) { return &p->scene; }
+
+void svo_posed_scene_free(svo_posed_scene *p)
+{
+    if (p == NULL) return;
+    svo_free(p->allocator, p->pose, p->source->asset_count, sizeof *p->pose);
+    svo_free(p->allocator, p->matrix, p->source->asset_count, 12 * sizeof *p->matrix);
+    svo_free(p->allocator, p->instance_pose, p->source->instance_count, sizeof *p->instance_pose);
+    svo_free(p->allocator, p->pages, p->source->page_count, sizeof *p->pages);
+    svo_free(p->allocator, p, 1, sizeof *p);
+}
+
+/* Boxes of the assets' voxels in the grid, 6 numbers each. */
+static svo_result pose_assets(svo_posed_scene *p, const svo_pose_spec *spec, double *boxes, svo_error *err)
+{
+    const svo_scene *s = p->source;
+    for (uint32_t i = 0; i < s->asset_count; i++) {
+        bool any;
+        uint32_t l[3], h[3];
+        double low[3] = {0, 0, 0}, high[3] = {1, 1, 1}, *box = boxes + 6 * i;
+        SVO_TRY(svo_view_grid_bounds(s->assets[i], p->allocator, &any, l, h, err));
+        for (int k = 0; k < 3 && any; k++) low[k] = l[k], high[k] = (double)h[k] + 1;
+        memcpy(box, low, sizeof low);
+        memcpy(box + 3, high, sizeof high);
+        svo_mat4 grid;
+        memcpy(grid.m, s->assets[i]->voxel_to_world, sizeof grid.m);
+        svo_box_transform(&grid, box, box + 3, 0, low, high);
+        svo_pose_resolve(spec, low, high, &p->pose[i], p->matrix + 12 * i);
+        if ((spec->flags & SVO_POSE_MATRIX) != 0) p->pose[i].matrix = i;
+        const char *fault = svo_pose_fault(&p->scene.poses, &p->pose[i]);
+        if (fault != NULL) return svo_fail(err, SVO_INVALID_ARGUMENT, "the deformation cannot be used for asset %u: %s", i, fault);
+    }
+    return SVO_OK;
+}
+
+static void pose_pages(svo_posed_scene *p, const double *boxes)
+{
+    const svo_scene *s = &p->scene;
+    for (uint32_t g = 0; g < s->page_count; g++) {
+        svo_scene_page *page = &p->pages[g];
+        *page = p->source->pages[g];
+        double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, l[3], h[3];
+        for (uint64_t i = page->first; i < page->first + page->count; i++) {
+            const double *box = boxes + 6 * s->instance_asset[i];
+            p->instance_pose[i] = s->instance_asset[i];
+            if (svo_scene_instance_bounds(s, g, i, box, box + 3, l, h)) join(low, high, l, h);
+        }
+        if (!(low[0] <= high[0])) continue; /* nothing is finite: the bounds stay */
+        memcpy(page->low, low, sizeof low);
+        memcpy(page->high, high, sizeof high);
+    }
+}
+
+svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose_spec *spec, const svo_allocator *a, svo_posed_scene **out, svo_error *err)
+{
+    svo_posed_scene *p = svo_calloc(a, 1, sizeof *p);
+    if (p == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for poses");
+    p->allocator = a;
+    p->source = s;
+    p->pose = svo_calloc(a, s->asset_count, sizeof *p->pose);
+    p->matrix = svo_alloc(a, s->asset_count, 12 * sizeof *p->matrix);
+    p->instance_pose = svo_alloc(a, s->instance_count, sizeof *p->instance_pose);
+    p->pages = svo_alloc(a, s->page_count, sizeof *p->pages);
+    double *boxes = svo_alloc(a, s->asset_count, 6 * sizeof *boxes);
+    p->scene = *s;
+    svo_result result = SVO_OK;
+    if ((s->asset_count != 0 && (p->pose == NULL || p->matrix == NULL || boxes == NULL)) || (s->instance_count != 0 && (p->instance_pose == NULL || p->pages == NULL)))
+        result = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for poses");
+    if (result == SVO_OK && s->asset_count != 0) {
+        p->scene.instance_pose = p->instance_pose;
+        p->scene.pages = p->pages;
+        p->scene.poses = (svo_poses){.count = s->asset_count, .pose = p->pose, .matrix_count = s->asset_count, .matrix = p->matrix};
+        result = pose_assets(p, spec, boxes, err);
+    }
+    if (result == SVO_OK) pose_pages(p, boxes);
+    svo_free(a, boxes, s->asset_count, 6 * sizeof *boxes);
+    if (result != SVO_OK) {
+        svo_posed_scene_free(p);
+        return result;
+    }
+    *out = p;
+    return SVO_OK;
+}

@@ -1,0 +1,412 @@
+/* Deformation: every image is inside its box, and what touched still touches, under every finite pose. */
+#include "svo_deform.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "packer.h"
+#include "svo_morton.h"
+#include "svo_resample.h"
+#include "test.h"
+
+#define PI 3.14159265358979323846
+
+static double between(uint64_t *seed, double a, double b) { return a + (b - a) * test_random_unit(seed); }
+
+/* ---- poses ------------------------------------------------------------------------------------------------------------ */
+
+typedef struct posed {
+    svo_pose pose;
+    float matrix[12];
+    svo_poses all;
+} posed;
+
+static void finish(posed *p, const svo_pose_spec *spec, double size)
+{
+    double low[3] = {0, 0, 0}, high[3] = {size, size, size};
+    svo_pose_resolve(spec, low, high, &p->pose, p->matrix);
+    p->all = (svo_poses){.count = 1, .pose = &p->pose, .matrix_count = 1, .matrix = p->matrix};
+}
+
+/* Named extreme poses, then random ones. */
+enum { NAMED = 16, POSES = 48 };
+
+static svo_mat4 rows(double a, double b, double c, double d, double e, double f, double g, double h, double i)
+{
+    svo_mat4 m = {{a, b, c, 0, d, e, f, 0, g, h, i, 0, 0, 0, 0, 1}};
+    return m;
+}
+
+static void make_pose(int which, double size, posed *out)
+{
+    uint64_t seed = 77 + (uint64_t)which;
+    svo_pose_spec s = {0};
+    s.matrix = svo_mat4_identity();
+    switch (which) {
+    case 0: break; /* rest */
+    case 1: s.flags = SVO_POSE_TWIST, s.twist_axis = 1, s.twist_angle = 50 * 2 * PI; break; /* 50 turns */
+    case 2: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1, 0, 0, 0, 1, 0, 0, 0, 0); break;   /* singular: a plane */
+    case 3: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1, 1, 1, 2, 2, 2, 3, 3, 3); break;   /* singular: a line */
+    case 4: s.flags = SVO_POSE_MATRIX, s.matrix = rows(0, 0, 0, 0, 0, 0, 0, 0, 0); break;   /* a point */
+    case 5: s.flags = SVO_POSE_MATRIX, s.matrix = rows(-1, 0, 0, 0, 1, 0, 0, 0, 1); break;  /* reflection */
+    case 6: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1, 0, 0, 0, 1, 1, 0, 1, 1 + 1e-12); break; /* near singular */
+    case 7: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1, 1e6, 0, 0, 1, 0, 0, 0, 1); break; /* shear of 1e6 */
+    case 8: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1e-6, 0, 0, 0, 1e-6, 0, 0, 0, 1e-6); break;
+    case 9: s.flags = SVO_POSE_MATRIX, s.matrix = rows(1e6, 0, 0, 0, 1e6, 0, 0, 0, 1e6); break;
+    case 10: s.flags = SVO_POSE_BEND, s.bend_axis = 1, s.bend_towards = 0, s.bend_angle = 4 * PI; break; /* folds onto itself twice */
+    case 11: s.flags = SVO_POSE_BEND, s.bend_axis = 1, s.bend_towards = 2, s.bend_angle = 1e-9; break;
+    case 12: s.flags = SVO_POSE_TWIST | SVO_POSE_BEND, s.twist_axis = 1, s.twist_angle = 3, s.bend_axis = 1, s.bend_towards = 0, s.bend_angle = 2; break;
+    case 13: /* the bend goes through the middle of its circle: slices cross */
+        s.flags = SVO_POSE_BEND, s.bend_axis = 0, s.bend_towards = 1, s.bend_angle = 20, s.has_bend_range = true, s.bend_range[0] = 0.4 * size, s.bend_range[1] = 0.6 * size;
+        break;
+    case 14: s.flags = SVO_POSE_TWIST, s.twist_axis = 2, s.twist_angle = PI, s.has_twist_range = true, s.twist_range[0] = s.twist_range[1] = 0.5 * size; break; /* in no length */
+    case 15: s.flags = SVO_POSE_MATRIX | SVO_POSE_TWIST, s.twist_axis = 0, s.twist_angle = -5, s.matrix = rows(1, 3, 0, 0, 1, -2, 0.5, 0, -1); break;
+    default: {
+        s.flags = (uint32_t)test_random(&seed) & (SVO_POSE_TWIST | SVO_POSE_BEND | SVO_POSE_MATRIX);
+        s.twist_axis = (uint8_t)(test_random(&seed) % 3);
+        s.bend_axis = (uint8_t)(test_random(&seed) % 3);
+        s.bend_towards = (uint8_t)((s.bend_axis + 1 + test_random(&seed) % 2) % 3);
+        s.twist_angle = between(&seed, -9, 9);
+        s.bend_angle = between(&seed, -6, 6);
+        for (int i = 0; i < 3; i++)
+            for (int j = 0; j < 3; j++) s.matrix.m[4 * i + j] = between(&seed, -2, 2);
+        s.has_twist_range = s.has_bend_range = test_random(&seed) % 2 != 0;
+        s.twist_range[0] = between(&seed, 0, 0.5 * size), s.twist_range[1] = between(&seed, 0.5 * size, size);
+        s.bend_range[0] = between(&seed, 0, 0.5 * size), s.bend_range[1] = between(&seed, 0.5 * size, size);
+    }
+    }
+    finish(out, &s, size);
+}
+
+static svo_mat4 random_place(uint64_t *seed)
+{
+    double t[3] = {between(seed, -5, 5), between(seed, -5, 5), between(seed, -5, 5)};
+    double q[4] = {between(seed, -1, 1), between(seed, -1, 1), between(seed, -1, 1), between(seed, -1, 1)};
+    double s[3] = {between(seed, 0.2, 3), between(seed, 0.2, 3), between(seed, -3, -0.2)};
+    return svo_mat4_trs(t, q, s);
+}
+
+TEST(faults_and_rest)
+{
+    posed p;
+    for (int i = 0; i < POSES; i++) {
+        make_pose(i, 8, &p);
+        CHECK_MSG(svo_pose_fault(&p.all, &p.pose) == NULL, "pose %d: %s", i, svo_pose_fault(&p.all, &p.pose));
+    }
+    make_pose(0, 8, &p);
+    CHECK(svo_pose_is_rest(&p.all, &p.pose));
+    make_pose(1, 8, &p);
+    CHECK(!svo_pose_is_rest(&p.all, &p.pose));
+    p.pose.twist_angle = NAN;
+    CHECK(svo_pose_fault(&p.all, &p.pose) != NULL);
+    make_pose(2, 8, &p);
+    p.pose.matrix = 1;
+    CHECK(svo_pose_fault(&p.all, &p.pose) != NULL);
+    make_pose(10, 8, &p);
+    p.pose.bend_towards = p.pose.bend_axis;
+    CHECK(svo_pose_fault(&p.all, &p.pose) != NULL);
+}
+
+/* The map itself, against formulas written down another way. */
+TEST(twist_and_bend_do_what_they_say)
+{
+    svo_mat4 id = svo_mat4_identity();
+    svo_pose_spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = PI / 2};
+    posed p;
+    finish(&p, &s, 8); /* about x = z = 4, from y = 0 to 8 */
+    svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &id);
+    svo_vec3 q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 8, 6)); /* +z turns to +x about +y */
+    CHECK(fabs(q.x - 6) < 1e-6 && fabs(q.y - 8) < 1e-6 && fabs(q.z - 4) < 1e-6);
+    q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 4, 6));
+    CHECK(fabs(q.x - 4 - sqrt(2)) < 1e-6 && fabs(q.z - 4 - sqrt(2)) < 1e-6);
+    s = (svo_pose_spec){.flags = SVO_POSE_BEND, .bend_axis = 1, .bend_towards = 0, .bend_angle = PI / 2};
+    finish(&p, &s, 8);
+    d = svo_deform_make(&p.all, &p.pose, &id, &id);
+    /* the middle line, 8 long, becomes a quarter of a circle of radius 16 / pi */
+    double radius = 16 / PI;
+    q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 8, 4));
+    CHECK(fabs(q.x - 4 - radius) < 1e-6 && fabs(q.y - radius) < 1e-6 && fabs(q.z - 4) < 1e-9);
+    double length = 0;
+    svo_vec3 last = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 0, 4));
+    for (int i = 1; i <= 1000; i++) {
+        q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 0.008 * i, 4));
+        length += svo_length(svo_sub(q, last));
+        last = q;
+    }
+    CHECK(fabs(length - 8) < 1e-4);
+    /* beyond the end everything goes on straight, to the right */
+    q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 10, 4));
+    CHECK(fabs(q.x - 4 - radius - 2) < 1e-6 && fabs(q.y - radius) < 1e-6);
+}
+
+/* Figure 16 is what a box's image is at least: the images under the matrices at both ends are in it. */
+TEST(figure_16_is_inside)
+{
+    uint64_t seed = 5;
+    posed p;
+    svo_pose_spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = 2};
+    finish(&p, &s, 16);
+    svo_mat4 id = svo_mat4_identity();
+    svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &id);
+    for (int i = 0; i < 200; i++) {
+        double low[3], high[3], a[3], b[3], out_low[3], out_high[3];
+        for (int k = 0; k < 3; k++) low[k] = floor(between(&seed, 0, 16)), high[k] = low[k] + 1;
+        svo_mat4 m[2];
+        for (int e = 0; e < 2; e++) {
+            double y = e == 0 ? low[1] : high[1], angle = 2 * y / 16;
+            svo_mat4 to = svo_mat4_identity(), back = to, turn = rows(cos(angle), 0, sin(angle), 0, 1, 0, -sin(angle), 0, cos(angle));
+            for (int k = 0; k < 3; k++) to.m[4 * k + 3] = -8, back.m[4 * k + 3] = 8;
+            m[e] = svo_mat4_mul(back, svo_mat4_mul(turn, to));
+        }
+        svo_deform_two(m, low, high, a, b);
+        svo_deform_box(&d, SVO_NO_BONE, low, high, out_low, out_high);
+        for (int k = 0; k < 3; k++) {
+            CHECK(out_low[k] <= a[k] + 1e-9 && out_high[k] >= b[k] - 1e-9);
+            CHECK(a[k] - out_low[k] < 0.0222 && out_high[k] - b[k] < 0.0222); /* and it is hardly larger: 11.32 * 0.125^2 / 8 */
+        }
+    }
+}
+
+TEST(boxes_hold_the_images_of_their_points_and_parts)
+{
+    for (int which = 0; which < POSES; which++) {
+        posed p;
+        make_pose(which, 64, &p);
+        uint64_t seed = 900 + (uint64_t)which;
+        svo_mat4 id = svo_mat4_identity(), place = random_place(&seed);
+        svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &place);
+        for (int i = 0; i < 60; i++) {
+            double edge = ldexp(1, (int)(test_random(&seed) % 7)), low[3], high[3], out_low[3], out_high[3];
+            for (int k = 0; k < 3; k++) low[k] = edge * floor(between(&seed, 0, 64 / edge)), high[k] = low[k] + edge;
+            svo_deform_box(&d, SVO_NO_BONE, low, high, out_low, out_high);
+            for (int t = 0; t < 60; t++) {
+                double at[3];
+                for (int k = 0; k < 3; k++) at[k] = t < 8 ? (t >> k & 1 ? high[k] : low[k]) : between(&seed, low[k], high[k]);
+                svo_vec3 q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(at[0], at[1], at[2]));
+                CHECK_MSG(q.x >= out_low[0] && q.x <= out_high[0] && q.y >= out_low[1] && q.y <= out_high[1] && q.z >= out_low[2] && q.z <= out_high[2],
+                          "pose %d, box %d: a point leaves its box", which, i);
+            }
+        }
+    }
+}
+
+TEST(normals_follow_the_surface)
+{
+    uint64_t seed = 3;
+    for (int which = 16; which < POSES; which++) {
+        posed p;
+        make_pose(which, 64, &p);
+        svo_mat4 id = svo_mat4_identity(), place = random_place(&seed);
+        svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &place);
+        for (int i = 0; i < 50; i++) {
+            svo_vec3 at = svo_v3(between(&seed, 5, 59), between(&seed, 5, 59), between(&seed, 5, 59));
+            svo_vec3 n = svo_normalize(svo_v3(between(&seed, -1, 1), between(&seed, -1, 1), between(&seed, -1, 1)));
+            svo_vec3 a = svo_normalize(svo_cross(n, svo_v3(0.3, 0.5, 0.8))), b = svo_cross(n, a);
+            svo_vec3 m = svo_deform_normal(&d, SVO_NO_BONE, at, 0.01, n), o = svo_deform_point(&d, SVO_NO_BONE, at);
+            if (svo_dot(m, m) == 0) continue;
+            for (int t = 0; t < 2; t++) { /* tangents stay at right angles to it */
+                svo_vec3 step = svo_scale(t == 0 ? a : b, 1e-4);
+                svo_vec3 v = svo_sub(svo_deform_point(&d, SVO_NO_BONE, svo_add(at, step)), svo_deform_point(&d, SVO_NO_BONE, svo_sub(at, step)));
+                CHECK_MSG(fabs(svo_dot(svo_normalize(v), m)) < 0.02, "pose %d: normal leans %g", which, svo_dot(svo_normalize(v), m));
+            }
+            svo_vec3 out = svo_sub(svo_deform_point(&d, SVO_NO_BONE, svo_add(at, svo_scale(n, 1e-4))), o);
+            CHECK(svo_dot(out, m) > 0); /* outside stays outside */
+        }
+    }
+}
+
+/* ---- no gaps ------------------------------------------------------------------------------------------------------------ */
+
+enum { DEPTH = 5, SIDE = 1 << DEPTH };
+
+/* A closed surface: the voxels that a sphere meets. */
+static svo_view *sphere(uint64_t **codes_out, uint64_t *count_out)
+{
+    uint64_t *codes = malloc(8 * SIDE * SIDE * SIDE), n = 0;
+    double radius = 0.42 * SIDE;
+    for (uint32_t z = 0; z < SIDE; z++)
+        for (uint32_t y = 0; y < SIDE; y++)
+            for (uint32_t x = 0; x < SIDE; x++) {
+                double near = 0, far = 0;
+                uint32_t c[3] = {x, y, z};
+                for (int k = 0; k < 3; k++) {
+                    double a = c[k] - 0.5 * SIDE, b = a + 1, least = a > 0 ? a : b < 0 ? -b : 0, most = fmax(fabs(a), fabs(b));
+                    near += least * least, far += most * most;
+                }
+                if (near <= radius * radius && far >= radius * radius) codes[n++] = svo_morton_encode(x, y, z);
+            }
+    packer_options o = {.lod = true, .unnumbered = true};
+    *codes_out = codes, *count_out = n;
+    return packer_make(DEPTH, codes, n, &o);
+}
+
+typedef struct world {
+    svo_view *view;
+    uint64_t *codes, count;
+    svo_scene_one single;
+    svo_scene scene;
+    posed p;
+    uint32_t instance_pose;
+} world;
+
+static void world_make(world *w, int which, const svo_mat4 *place)
+{
+    svo_error err;
+    memset(w, 0, sizeof *w);
+    w->view = sphere(&w->codes, &w->count);
+    CHECK_OK(svo_scene_single(w->view, "", NULL, &w->single, &err));
+    make_pose(which, SIDE, &w->p);
+    for (int i = 0; i < 12; i++) w->single.transform[i] = (float)place->m[i];
+    w->scene = w->single.scene;
+    w->scene.instance_pose = &w->instance_pose;
+    w->scene.poses = w->p.all;
+    for (int k = 0; k < 3; k++) w->single.page.low[k] = -1e9, w->single.page.high[k] = 1e9;
+}
+
+static void world_free(world *w)
+{
+    packer_free(w->view);
+    free(w->codes);
+}
+
+static svo_select_options looking(bool whole)
+{
+    svo_select_options o = {.width = 640, .height = 480, .delta = 1, .whole = whole};
+    svo_error err;
+    if (svo_eye_look(svo_v3(60, 50, 90), svo_v3(0, 0, 0), svo_v3(0, 1, 0), 0.8, &o.eye, &err) != SVO_OK) abort();
+    return o;
+}
+
+/* Is the point in a filled cell? */
+static bool filled(const svo_view *v, svo_vec3 p)
+{
+    double c[3] = {p.x, p.y, p.z};
+    uint32_t cell[3];
+    for (int k = 0; k < 3; k++) {
+        double x = (c[k] - v->voxel_to_world[4 * k + 3]) / v->voxel_to_world[5 * k];
+        if (x < 0 || x >= ldexp(1, (int)v->depth)) return false;
+        cell[k] = (uint32_t)x;
+    }
+    return svo_view_voxel(v, cell[0], cell[1], cell[2], NULL);
+}
+
+/* Every image of a point that was in a voxel is in a filled cell; so the image of a joined surface is joined. */
+static void check_covered(const world *w, const svo_view *octree, int which, const char *method, uint64_t *seed)
+{
+    svo_mat4 id = svo_mat4_identity(), place = svo_scene_instance_transform(&w->scene, 0, 0);
+    svo_deform d = svo_deform_make(&w->p.all, &w->p.pose, &id, &place);
+    for (int i = 0; i < 3000; i++) {
+        uint32_t c[3];
+        svo_morton_decode(w->codes[test_random(seed) % w->count], &c[0], &c[1], &c[2]);
+        double at[3];
+        for (int k = 0; k < 3; k++) {
+            uint64_t r = test_random(seed) % 4; /* often on the faces, edges and corners that neighbours share */
+            at[k] = c[k] + (r == 0 ? 0 : r == 1 ? 1 : test_random_unit(seed));
+        }
+        svo_vec3 q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(at[0], at[1], at[2]));
+        /* a float's rounding of the box's ends is outwards, so nothing is lost by it */
+        CHECK_MSG(filled(octree, q), "pose %d, %s: the image of a voxel's point is not covered", which, method);
+    }
+}
+
+TEST(no_gap_under_any_pose)
+{
+    svo_error err = {0};
+    for (int which = 0; which < NAMED + 8; which++) {
+        uint64_t seed = 40 + (uint64_t)which;
+        svo_mat4 place = which % 2 == 0 ? svo_mat4_identity() : random_place(&seed);
+        world w;
+        world_make(&w, which, &place);
+        if (test_failed()) return;
+        for (int m = 0; m < 2 && !test_failed(); m++)
+            for (int whole = 0; whole < 2 && !test_failed(); whole++) {
+                svo_unpose_options o = {looking(whole != 0), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+                svo_unposed *u;
+                svo_unpose_report r;
+                CHECK_OK(svo_unpose(&w.scene, &o, &u, &r, &err));
+                CHECK_U64(r.select.overflowed, 0);
+                CHECK_OK(svo_view_validate(svo_unposed_view(u), NULL, &err));
+                if (whole) CHECK_U64(r.select.selected, w.count);
+                check_covered(&w, svo_unposed_view(u), which, m == 0 ? "resize" : "emit", &seed);
+                svo_unposed_free(u);
+            }
+        world_free(&w);
+        if (test_failed()) return;
+    }
+}
+
+/* Rays from inside a closed surface never get out, whatever happens to it (poses that keep an inside). */
+TEST(no_ray_passes_between_neighbours)
+{
+    static const int poses[] = {0, 1, 5, 15};
+    svo_error err = {0};
+    for (size_t n = 0; n < sizeof poses / sizeof poses[0]; n++) {
+        uint64_t seed = 11;
+        svo_mat4 place = random_place(&seed);
+        world w;
+        world_make(&w, poses[n], &place);
+        for (int m = 0; m < 2; m++) {
+            svo_unpose_options o = {looking(true), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+            svo_unposed *u;
+            CHECK_OK(svo_unpose(&w.scene, &o, &u, NULL, &err));
+            svo_bvh *bvh;
+            CHECK_OK(svo_bvh_build(svo_unposed_scene(u), 1, NULL, NULL, &bvh, NULL, &err));
+            svo_mat4 id = svo_mat4_identity();
+            svo_deform d = svo_deform_make(&w.p.all, &w.p.pose, &id, &place);
+            svo_vec3 middle = svo_deform_point(&d, SVO_NO_BONE, svo_v3(0.5 * SIDE, 0.5 * SIDE, 0.5 * SIDE));
+            for (int i = 0; i < 20000; i++) {
+                svo_scene_ray ray = {.origin = middle, .t_max = INFINITY};
+                ray.direction = svo_v3(between(&seed, -1, 1), between(&seed, -1, 1), between(&seed, -1, 1));
+                svo_scene_hit hit;
+                svo_scene_trace(bvh, &ray, 1, &hit);
+                CHECK_MSG(hit.node.hit, "pose %d: ray %d passes", poses[n], i);
+            }
+            svo_bvh_free(bvh);
+            svo_unposed_free(u);
+        }
+        world_free(&w);
+    }
+}
+
+/* ---- selection ----------------------------------------------------------------------------------------------------------- */
+
+/* What is taken is small enough, and what was split was not; threads do not matter. */
+TEST(selection_stops_where_voxels_are_small)
+{
+    svo_error err = {0};
+    svo_mat4 place = svo_mat4_identity();
+    world w;
+    world_make(&w, 12, &place);
+    svo_select_options o = looking(false);
+    uint64_t last = UINT64_MAX;
+    for (double delta = 0.25; delta < 100; delta *= 2) {
+        svo_selection a, b;
+        o.delta = delta;
+        o.threads = 1;
+        CHECK_OK(svo_select(&w.scene, &o, &a, &err));
+        o.threads = 3;
+        CHECK_OK(svo_select(&w.scene, &o, &b, &err));
+        CHECK_U64(a.count, b.count);
+        CHECK(memcmp(a.boxes, b.boxes, a.count * sizeof *a.boxes) == 0);
+        CHECK(a.count <= last);
+        CHECK(a.count > 0 && a.count <= w.count);
+        last = a.count;
+        svo_selection_free(&a);
+        svo_selection_free(&b);
+    }
+    CHECK_MSG(last < w.count / 4, "%llu of %llu", (unsigned long long)last, (unsigned long long)w.count);
+    world_free(&w);
+}
+
+TEST(zero_instances_and_empty_assets)
+{
+    svo_error err = {0};
+    svo_scene none = {.names = "", .names_size = 1};
+    svo_unpose_options o = {looking(false), SVO_RESAMPLE_EMIT};
+    svo_unposed *u;
+    CHECK_OK(svo_unpose(&none, &o, &u, NULL, &err));
+    CHECK_U64(svo_unposed_scene(u)->instance_count, 0);
+    CHECK(svo_unposed_view(u)->empty);
+    svo_unposed_free(u);
+}

@@ -1,0 +1,192 @@
+#include "render_pose.h"
+
+#include <ctype.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmt_file.h"
+#include "fmt_svo.h"
+#include "svo_unpack.h"
+
+#define PI 3.14159265358979323846
+
+/* ---- --deform -------------------------------------------------------------------------------------------------------- */
+
+static bool take_axis(const char **at, uint8_t *axis)
+{
+    int c = tolower((unsigned char)**at);
+    if (c < 'x' || c > 'z') return false;
+    *axis = (uint8_t)(c - 'x');
+    ++*at;
+    return true;
+}
+
+static bool take_number(const char **at, double *out)
+{
+    char *end;
+    *out = strtod(*at, &end);
+    if (end == *at || !isfinite(*out)) return false;
+    *at = end;
+    return true;
+}
+
+static bool take_colon(const char **at) { return **at == ':' ? (++*at, true) : false; }
+
+static bool take_word(const char **at, const char *word)
+{
+    size_t n = strlen(word);
+    if (strncmp(*at, word, n) != 0 || (*at)[n] != '=') return false;
+    *at += n + 1;
+    return true;
+}
+
+static const char *take_part(const char **at, svo_pose_spec *s)
+{
+    uint8_t a, b;
+    double v[3];
+    if (take_word(at, "twist")) {
+        if ((s->flags & SVO_POSE_TWIST) != 0) return "twist is there twice";
+        if (!take_axis(at, &a) || !take_colon(at) || !take_number(at, v)) return "twist takes an axis and degrees: twist=y:90";
+        s->flags |= SVO_POSE_TWIST;
+        s->twist_axis = a;
+        s->twist_angle = v[0] * PI / 180;
+        return NULL;
+    }
+    if (take_word(at, "bend")) {
+        if ((s->flags & SVO_POSE_BEND) != 0) return "bend is there twice";
+        if (!take_axis(at, &a) || !take_axis(at, &b) || a == b || !take_colon(at) || !take_number(at, v))
+            return "bend takes the axis to bend, the one to bend it towards, and degrees: bend=yx:45";
+        s->flags |= SVO_POSE_BEND;
+        s->bend_axis = a, s->bend_towards = b;
+        s->bend_angle = v[0] * PI / 180;
+        return NULL;
+    }
+    svo_mat4 m = svo_mat4_identity();
+    if (take_word(at, "shear")) {
+        if (!take_axis(at, &a) || !take_axis(at, &b) || a == b || !take_colon(at) || !take_number(at, v))
+            return "shear takes the axis that moves, the one it moves with, and how much: shear=xy:0.5";
+        m.m[4 * a + b] = v[0];
+    } else if (take_word(at, "scale")) {
+        if (!take_number(at, v)) return "scale takes one number or three: scale=2 or scale=1:2:1";
+        v[1] = v[2] = v[0];
+        if (take_colon(at) && (!take_number(at, v + 1) || !take_colon(at) || !take_number(at, v + 2))) return "scale takes one number or three: scale=1:2:1";
+        for (int k = 0; k < 3; k++) m.m[5 * k] = v[k];
+    } else return "a deformation is twist=, bend=, shear= or scale=";
+    s->matrix = (s->flags & SVO_POSE_MATRIX) != 0 ? svo_mat4_mul(m, s->matrix) : m;
+    s->flags |= SVO_POSE_MATRIX;
+    return NULL;
+}
+
+const char *parse_deform(const char *text, svo_pose_spec *out)
+{
+    memset(out, 0, sizeof *out);
+    for (;;) {
+        const char *fault = take_part(&text, out);
+        if (fault != NULL) return fault;
+        if (*text == 0) return NULL;
+        if (*text++ != ',') return "parts are joined by commas";
+    }
+}
+
+/* ---- scenes ----------------------------------------------------------------------------------------------------------- */
+
+bool has_poses(const svo_scene *s)
+{
+    for (uint64_t i = 0; i < s->instance_count && s->instance_pose != NULL; i++)
+        if (s->instance_pose[i] != SVO_NO_POSE) return true;
+    return false;
+}
+
+svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err)
+{
+    SVO_TRY(svo_scene_pose_all(*scene, spec, a, &p->posed, err));
+    *scene = svo_posed_scene_get(p->posed);
+    return SVO_OK;
+}
+
+static svo_result save_octree(cli *c, const svo_view *view, const char *path, const svo_allocator *a, svo_error *err)
+{
+    fmt_output *out;
+    fmt_svo_writer *writer;
+    svo_tree_info info = svo_unpack_info(view);
+    SVO_TRY(fmt_output_open(path, c->force, &out, err));
+    char *provenance = cli_provenance(c, cli_options_json(c, false), NULL);
+    svo_result r = fmt_svo_writer_begin(out, &info, provenance, 0, a, &writer, err);
+    if (r == SVO_OK) {
+        svo_unpack u;
+        svo_unpack_begin(&u, view);
+        svo_chunk_source source = svo_unpack_source(&u);
+        svo_chunk_sink sink = fmt_svo_writer_sink(writer);
+        svo_buffer packed, storage;
+        svo_buffer_init(&packed, a);
+        svo_buffer_init(&storage, a);
+        bool more = true;
+        while (r == SVO_OK) {
+            svo_chunk chunk;
+            void *blob;
+            r = source.fetch(source.user, &packed, &more, err);
+            if (r != SVO_OK || !more) break;
+            r = source.decode(source.user, &packed, &storage, &chunk, err);
+            if (r == SVO_OK) r = sink.encode(sink.user, &chunk, 0, &blob, err);
+            if (r == SVO_OK) r = sink.commit(sink.user, blob, err);
+        }
+        svo_buffer_free(&packed);
+        svo_buffer_free(&storage);
+        if (r == SVO_OK) r = fmt_svo_writer_end(writer, NULL, err);
+        else fmt_svo_writer_discard(writer);
+    }
+    free(provenance);
+    if (r == SVO_OK) return fmt_output_commit(out, err);
+    fmt_output_discard(out);
+    return r;
+}
+
+static void report_unpose(cli *c, const svo_unpose_report *r, int resample)
+{
+    static const char *const names[] = {"auto", "direct", "resize", "emit"};
+    json_t *o = cli_section(c, "deformation");
+    cli_put_text(o, "resample", names[resample]);
+    cli_put_u64(o, "pages", r->select.pages);
+    cli_put_u64(o, "pages_seen", r->select.pages_seen);
+    cli_put_u64(o, "instances", r->select.instances);
+    cli_put_u64(o, "instances_seen", r->select.instances_seen);
+    cli_put_u64(o, "nodes_visited", r->select.visited);
+    cli_put_u64(o, "nodes_outside", r->select.outside);
+    cli_put_u64(o, "selected", r->select.selected);
+    cli_put_u64(o, "selected_finest", r->select.finest);
+    cli_put_u64(o, "overflowed", r->select.overflowed);
+    cli_put_u64(o, "samples", r->resample.samples);
+    cli_put_u64(o, "samples_coarsened", r->resample.coarsened);
+    cli_put_u64(o, "samples_clamped", r->resample.clamped);
+    cli_put_u64(o, "cells", r->hierarchy.cells);
+    cli_put_u64(o, "octree_depth", r->resample.depth);
+    cli_put_u64(o, "octree_bytes", r->hierarchy.bytes);
+    cli_put_f64(o, "seconds_select", r->select.seconds);
+    cli_put_f64(o, "seconds_resample", r->resample.seconds);
+    cli_put_f64(o, "seconds_attributes", r->seconds_values);
+    cli_put_f64(o, "seconds_sort", r->hierarchy.seconds_sort);
+    cli_put_f64(o, "seconds_hierarchy", r->hierarchy.seconds_build);
+}
+
+svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err)
+{
+    svo_unpose_options o = {.select = *select, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+    svo_unpose_report r;
+    if (resample == RESAMPLE_DIRECT) return svo_fail(err, SVO_UNSUPPORTED, "--resample direct is not available yet");
+    cli_phase(c, "deform");
+    SVO_TRY(svo_unpose(*scene, &o, &p->unposed, &r, err));
+    if (r.select.overflowed != 0)
+        svo_warn(&c->warnings, "%llu parts of instances are left out: their pose takes them beyond the range of numbers", (unsigned long long)r.select.overflowed);
+    report_unpose(c, &r, resample == RESAMPLE_RESIZE ? RESAMPLE_RESIZE : RESAMPLE_EMIT);
+    *scene = svo_unposed_scene(p->unposed);
+    if (save == NULL) return SVO_OK;
+    cli_phase(c, "save");
+    return save_octree(c, svo_unposed_view(p->unposed), save, select->allocator, err);
+}
+
+void posing_close(posing *p)
+{
+    svo_unposed_free(p->unposed);
+    svo_posed_scene_free(p->posed);
+}

@@ -1,0 +1,28 @@
+/* svo-render: deformation options, and scenes with poses made ready for one picture. */
+#ifndef RENDER_POSE_H
+#define RENDER_POSE_H
+
+#include "cli.h"
+#include "svo_resample.h"
+
+/* twist=AXIS:DEG, bend=AXIS TOWARDS:DEG, shear=AXIS BY:K, scale=K or scale=X:Y:Z, joined by commas. Returns what is wrong (static text), NULL when
+ * nothing is. */
+const char *parse_deform(const char *text, svo_pose_spec *out);
+
+/* The scene with every instance posed as --deform says (NULL: no such option). Closed with the picture. */
+typedef struct posing {
+    svo_posed_scene *posed;
+    svo_unposed *unposed;
+} posing;
+
+/* The decision tree of figure 29: what --resample auto means here. */
+enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT };
+
+svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err);
+bool has_poses(const svo_scene *scene);
+
+/* Replace *scene by one that the ray caster takes; `select` says what the picture needs. Reports under "deformation". save: path of an .svo, or NULL. */
+svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err);
+void posing_close(posing *p);
+
+#endif
