@@ -110,7 +110,7 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     return SVO_OK;
 }
 
-static bool can_spill(import_reader *reader) { return reader == import_obj || reader == import_ply || reader == import_stl || reader == import_off; }
+static bool can_spill(import_reader *reader) { return reader != import_drc; }
 
 /* A file that is small beside the memory is read into it. Arrays grow by copying and text is shorter than numbers, so a file may take four times
  * its size while it is read. What turns out not to fit after all is read again, into the spill. */

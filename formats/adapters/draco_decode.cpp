@@ -124,6 +124,8 @@ svo_result read_drc(const import_context *c, const uint8_t *bytes, uint64_t size
         svo_warn(c->warnings, "%s: a Draco point cloud has no faces", c->path);
         return import_single_shape(c, nullptr, 0, out, err);
     }
+    gltf_reserve reserve;
+    reserve.take(c, GLTF_DRACO_COST * size, "Draco data");
     std::unique_ptr<draco::Mesh> mesh = decode(c->path, bytes, size);
     if (mesh->num_faces() == 0) return import_single_shape(c, nullptr, 0, out, err);
     svo_part *part = static_cast<svo_part *>(svo_calloc(c->allocator, 1, sizeof *part));

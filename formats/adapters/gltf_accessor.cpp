@@ -32,7 +32,7 @@ uint32_t load_unsigned(const uint8_t *p, int width) { return width == 1 ? *p : w
 
 } // namespace
 
-const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size)
+const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size, svo_paged **paged)
 {
     const tinygltf::BufferView &v = d.model.bufferViews.at(static_cast<size_t>(view));
     const gltf_bytes &b = *d.buffers.at(static_cast<size_t>(v.buffer));
@@ -45,6 +45,7 @@ const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size)
     if (v.byteOffset > b.size || v.byteLength > b.size - v.byteOffset)
         svo_throw(SVO_INVALID_DATA, "%s: buffer view %d goes beyond its buffer", d.path(), view);
     *size = v.byteLength;
+    if (paged != nullptr) *paged = b.paged;
     return b.data + v.byteOffset;
 }
 
@@ -73,7 +74,7 @@ gltf_accessor::gltf_accessor(const gltf_document &d, int index, const char *what
     uint64_t element = static_cast<uint64_t>(components_) * static_cast<uint64_t>(width_);
     if (a.bufferView >= 0) {
         uint64_t size = 0;
-        const uint8_t *view = gltf_view_bytes(d, a.bufferView, &size);
+        const uint8_t *view = gltf_view_bytes(d, a.bufferView, &size, &paged_);
         const tinygltf::BufferView &v = d.model.bufferViews[static_cast<size_t>(a.bufferView)];
         stride_ = v.byteStride != 0 ? v.byteStride : element;
         if (stride_ < element) bad("byteStride is smaller than an element");
@@ -88,17 +89,20 @@ gltf_accessor::gltf_accessor(const gltf_document &d, int index, const char *what
     uint64_t n = static_cast<uint64_t>(a.sparse.count), size = 0;
     if (n > count_) bad("has more sparse elements than elements");
     int index_width = width_of(a.sparse.indices.componentType);
-    const uint8_t *indices = gltf_view_bytes(d, a.sparse.indices.bufferView, &size);
+    const uint8_t *indices = gltf_view_bytes(d, a.sparse.indices.bufferView, &size, &sparse_paged_);
     uint64_t offset = static_cast<uint64_t>(a.sparse.indices.byteOffset);
     if (!fits(size, offset, n, static_cast<uint64_t>(index_width), static_cast<uint64_t>(index_width)))
         bad("sparse indices go beyond their buffer view");
+    sparse_reserve_.take(d.context, n * sizeof(uint64_t), "sparse accessors");
     sparse_index_.resize(n);
     for (uint64_t i = 0; i < n; i++) {
+        if (sparse_paged_ != nullptr)
+            svo_paged_touch(sparse_paged_, indices + offset + i * static_cast<uint64_t>(index_width), static_cast<uint64_t>(index_width));
         sparse_index_[i] = load_unsigned(indices + offset + i * static_cast<uint64_t>(index_width), index_width);
         if (sparse_index_[i] >= count_) bad("a sparse index is out of range");
         if (i > 0 && sparse_index_[i] <= sparse_index_[i - 1]) bad("sparse indices do not increase");
     }
-    const uint8_t *values = gltf_view_bytes(d, a.sparse.values.bufferView, &size);
+    const uint8_t *values = gltf_view_bytes(d, a.sparse.values.bufferView, &size, &sparse_paged_);
     offset = static_cast<uint64_t>(a.sparse.values.byteOffset);
     if (!fits(size, offset, n, element, element)) bad("sparse values go beyond their buffer view");
     sparse_data_ = values + offset;
@@ -109,10 +113,16 @@ const uint8_t *gltf_accessor::at(uint64_t i) const
 {
     if (!sparse_index_.empty()) {
         auto it = std::lower_bound(sparse_index_.begin(), sparse_index_.end(), i);
-        if (it != sparse_index_.end() && *it == i)
-            return sparse_data_ + static_cast<uint64_t>(it - sparse_index_.begin()) * sparse_stride_;
+        if (it != sparse_index_.end() && *it == i) {
+            const uint8_t *p = sparse_data_ + static_cast<uint64_t>(it - sparse_index_.begin()) * sparse_stride_;
+            if (sparse_paged_ != nullptr) svo_paged_touch(sparse_paged_, p, sparse_stride_);
+            return p;
+        }
     }
-    return data_ != nullptr ? data_ + i * stride_ : nullptr;
+    if (data_ == nullptr) return nullptr;
+    const uint8_t *p = data_ + i * stride_;
+    if (paged_ != nullptr) svo_paged_touch(paged_, p, static_cast<uint64_t>(components_) * static_cast<uint64_t>(width_));
+    return p;
 }
 
 double gltf_accessor::component(const uint8_t *p) const

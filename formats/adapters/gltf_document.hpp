@@ -7,6 +7,7 @@
 
 #include "cxx_guard.hpp"
 #include "import_common.h"
+#include "svo_soup.h"
 
 #include <memory>
 #include <string>
@@ -32,10 +33,34 @@ struct gltf_bytes {
     uint64_t size = 0;
     std::vector<uint8_t> owned;
     fmt_bytes mapped{};
+    svo_paged *paged = nullptr; /* not NULL: only what was touched of `data` is in memory; see gltf_bytes_touch */
     gltf_bytes() = default;
     gltf_bytes(const gltf_bytes &) = delete;
     gltf_bytes &operator=(const gltf_bytes &) = delete;
-    ~gltf_bytes() { if (mapped.data != nullptr) fmt_bytes_close(&mapped); }
+    ~gltf_bytes()
+    {
+        svo_paged_free(paged);
+        if (mapped.data != nullptr) fmt_bytes_close(&mapped);
+    }
+};
+
+/* Memory that is taken elsewhere (by libraries, by pages of files) is accounted for in the allocator as long as this lives.
+ * What is reserved is never written to, so that it costs nothing but its place in the account. */
+class gltf_reserve
+{
+  public:
+    gltf_reserve() = default;
+    gltf_reserve(const gltf_reserve &) = delete;
+    gltf_reserve &operator=(const gltf_reserve &) = delete;
+    ~gltf_reserve() { release(); }
+    /* Only where memory is limited. Throws, naming `what`. */
+    void take(const import_context *c, uint64_t bytes, const char *what);
+    void release();
+
+  private:
+    const svo_allocator *allocator_ = nullptr;
+    void *charge_ = nullptr;
+    uint64_t size_ = 0;
 };
 
 struct gltf_image {
@@ -59,6 +84,14 @@ struct gltf_document {
     int scene = -1;          /* default scene of the file, -1: none stated */
     uint64_t total_bytes = 0;
     uint64_t elements = 0; /* vertices and indices made so far, see gltf_charge */
+    gltf_reserve text, files;     /* JSON in its forms; buffers */
+    bool spilling = false;        /* triangles go to the spill, and buffers are read through the pager */
+    svo_soup_file *soup = nullptr;
+
+    gltf_document() = default;
+    gltf_document(const gltf_document &) = delete;
+    gltf_document &operator=(const gltf_document &) = delete;
+    ~gltf_document() { svo_soup_file_release(soup); }
 
     const char *path() const { return context->path; }
     svo_warnings *warnings() const { return context->warnings; }
@@ -79,6 +112,8 @@ class gltf_accessor
     uint64_t count() const { return count_; }
     int components() const { return components_; }
     int component_type() const { return type_; }
+    /* Do floats hold every value of it? */
+    bool fits_floats() const { return !normalized_ && (type_ == TINYGLTF_COMPONENT_TYPE_FLOAT || width_ < 4); }
     bool normalized() const { return normalized_; }
     /* components() values of element i, ints normalised where the accessor says so. */
     void get(uint64_t i, double *out) const;
@@ -88,15 +123,17 @@ class gltf_accessor
     double component(const uint8_t *p) const;
     const uint8_t *at(uint64_t i) const;
     const uint8_t *data_ = nullptr; /* NULL: zeros */
+    svo_paged *paged_ = nullptr, *sparse_paged_ = nullptr;
     uint64_t count_ = 0, stride_ = 0;
     int components_ = 0, type_ = 0, width_ = 0;
     bool normalized_ = false;
     std::vector<uint64_t> sparse_index_; /* ascending */
+    gltf_reserve sparse_reserve_;
     const uint8_t *sparse_data_ = nullptr;
     uint64_t sparse_stride_ = 0;
 };
-/* Bytes of a buffer view, checked. */
-const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size);
+/* Bytes of a buffer view, checked. paged may be NULL; else it receives the buffer's array, or NULL. */
+const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size, svo_paged **paged);
 /* value of a normalised or plain integer component, as the accessor says */
 double gltf_component_value(double raw, int component_type, bool normalized);
 
@@ -113,7 +150,9 @@ void gltf_charge(gltf_document &d, uint64_t elements);
 /* gltf_material.cpp */
 void gltf_build_materials(gltf_document &d, const std::vector<bool> &used, svo_mesh *mesh);
 
-/* draco.cpp */
+/* draco_decode.cpp */
+/* Bytes of memory for each byte of Draco data while it is unpacked. */
+constexpr uint64_t GLTF_DRACO_COST = 64;
 struct draco_attribute {
     uint32_t id;              /* unique id in the stream */
     int components;           /* filled */

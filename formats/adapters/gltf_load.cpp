@@ -5,6 +5,7 @@
 
 #include "fmt_container.h"
 
+#include <algorithm>
 #include <cstring>
 
 namespace
@@ -134,6 +135,28 @@ void load_buffers(gltf_document &d, const nlohmann::json &root, const frame &f)
     }
 }
 
+/* What the buffers take while they are read: as pages of files, or as what was decoded. */
+void account_buffers(gltf_document &d, const frame &f)
+{
+    const import_context *c = d.context;
+    if (c->spill == nullptr || c->pager == nullptr) return;
+    uint64_t owned = 0, mapped = 0;
+    for (const auto &b : d.buffers) {
+        bool file = b->mapped.mapped || (b->data == f.bin && b->data != nullptr && c->mapped);
+        *(file ? &mapped : &owned) += b->size;
+    }
+    /* Arrays of the mesh take two to three times what they do in the file. */
+    d.spilling = c->spilling || owned + mapped > c->memory / 4;
+    d.files.take(c, d.spilling ? owned : owned + mapped, "buffers");
+    if (!d.spilling) return;
+    for (auto &b : d.buffers) {
+        if (!(b->mapped.mapped || (b->data == f.bin && b->data != nullptr && c->mapped)) || b->size == 0) continue;
+        svo_error err{};
+        svo_check(svo_paged_borrow(c->pager, b->data, b->size, &b->paged, &err), err);
+        fmt_bytes_forget(b->data, b->size); /* a small file may still be there from the hash */
+    }
+}
+
 void take_images(gltf_document &d, const nlohmann::json &root)
 {
     auto it = root.find("images");
@@ -177,7 +200,42 @@ void take_indices(gltf_document &d, nlohmann::json &root)
     }
 }
 
+/* What JSON takes in all of its forms: the text, its tree, the text again, tinygltf's tree and its model. Long strings, which are data,
+ * are copied a few times; everything else becomes small objects. */
+uint64_t json_cost(const frame &f)
+{
+    constexpr uint64_t COST = 16, STRING_COST = 4, OBJECT_COST = 1024;
+    constexpr ptrdiff_t LONG = 256;
+    uint64_t strings = 0;
+    const uint64_t objects = static_cast<uint64_t>(std::count(f.text, f.text + f.text_size, '{'));
+    const char *p = f.text, *end = f.text + f.text_size;
+    while ((p = static_cast<const char *>(std::memchr(p, '"', static_cast<size_t>(end - p)))) != nullptr) {
+        const char *close = static_cast<const char *>(std::memchr(p + 1, '"', static_cast<size_t>(end - p - 1)));
+        if (close == nullptr) break;
+        if (close - p > LONG) strings += static_cast<uint64_t>(close - p);
+        p = close + 1;
+    }
+    return COST * (f.text_size - strings) + STRING_COST * strings + OBJECT_COST * objects;
+}
+
 } // namespace
+
+void gltf_reserve::take(const import_context *c, uint64_t bytes, const char *what)
+{
+    release();
+    if (c->memory == 0 || bytes == 0) return;
+    charge_ = svo_alloc(c->allocator, bytes, 1);
+    if (charge_ == nullptr)
+        svo_throw(SVO_OUT_OF_MEMORY, "%s: %s would take %.1f MB more, which are not left", c->path, what, static_cast<double>(bytes) / 1e6);
+    allocator_ = c->allocator;
+    size_ = bytes;
+}
+
+void gltf_reserve::release()
+{
+    svo_free(allocator_, charge_, size_, 1);
+    charge_ = nullptr;
+}
 
 bool gltf_is_data_uri(const std::string &uri) { return uri.compare(0, 5, "data:") == 0; }
 
@@ -213,11 +271,13 @@ void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size)
         /* a byte order mark is not allowed but harmless */
         if (size >= 3 && std::memcmp(bytes, "\xef\xbb\xbf", 3) == 0) f.text += 3, f.text_size -= 3;
     }
+    d.text.take(d.context, json_cost(f), "the JSON text");
     std::string slim;
     {
         nlohmann::json root = gltf_parse_json(d.path(), f.text, f.text_size);
         gltf_check(d, root);
         load_buffers(d, root, f);
+        account_buffers(d, f);
         take_images(d, root);
         take_skins(d, root);
         take_indices(d, root);

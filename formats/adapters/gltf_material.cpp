@@ -35,7 +35,7 @@ struct builder {
             uint64_t size = 0;
             bool mapped = d.context->mapped;
             if (from.buffer_view >= 0) {
-                bytes = gltf_view_bytes(d, from.buffer_view, &size);
+                bytes = gltf_view_bytes(d, from.buffer_view, &size, nullptr);
             } else if (!from.uri.empty()) {
                 fetched = gltf_fetch(d, from.uri);
                 bytes = fetched->data;

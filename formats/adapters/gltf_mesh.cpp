@@ -30,6 +30,13 @@ struct source {
     }
 };
 
+/* All attributes that a part is made of. */
+struct attributes {
+    source positions, normals, uvs[SVO_MAX_UV_SETS], colors;
+    struct binding { source joints, weights; };
+    std::vector<binding> bindings;
+};
+
 struct primitive_reader {
     gltf_document &d;
     const tinygltf::Primitive &p;
@@ -42,6 +49,7 @@ struct primitive_reader {
     std::vector<draco_attribute> draco;
     uint64_t draco_points = 0;
     bool is_draco = false;
+    gltf_reserve reserve, unpacked; /* indices; what Draco makes */
 
     [[noreturn]] void bad(const char *why) const { svo_throw(SVO_INVALID_DATA, "%s: %s: %s", d.path(), where.c_str(), why); }
 
@@ -56,7 +64,8 @@ struct primitive_reader {
             draco.push_back(a);
         }
         uint64_t size = 0;
-        const uint8_t *bytes = gltf_view_bytes(d, extension.Get("bufferView").GetNumberAsInt(), &size);
+        const uint8_t *bytes = gltf_view_bytes(d, extension.Get("bufferView").GetNumberAsInt(), &size, nullptr);
+        unpacked.take(d.context, GLTF_DRACO_COST * size, (where + ", as Draco data,").c_str());
         std::sort(draco.begin(), draco.end(), [](const draco_attribute &a, const draco_attribute &b) { return a.id < b.id; });
         draco_decode_mesh(d.path(), bytes, size, &indices, &draco_points, &draco);
         gltf_charge(d, draco_points + indices.size());
@@ -89,34 +98,52 @@ struct primitive_reader {
         return s;
     }
 
+    std::unique_ptr<gltf_accessor> open_indices();
+    uint64_t triangles_of(uint64_t n);
+    template <class F> void unroll(uint64_t triangles, const gltf_accessor *from, F &&each);
     void read_indices();
-    void unroll(uint64_t n, const gltf_accessor *from);
+    void check_range(const uint32_t *t, size_t n) const;
     bool prepare();
     void check();
+    attributes open();
     void build(svo_part *part);
-    void fill(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
-    void skin(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n);
+    void spill(svo_part *part);
+    void fill(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n);
+    void skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n);
 };
 
-/* n indices (from the accessor, or 0..n-1) to triangles. */
-void primitive_reader::unroll(uint64_t n, const gltf_accessor *from)
+/* The index accessor, NULL where vertices are taken in order. */
+std::unique_ptr<gltf_accessor> primitive_reader::open_indices()
+{
+    if (index_accessor < 0) return nullptr;
+    auto a = std::make_unique<gltf_accessor>(d, index_accessor, (where + ", indices").c_str(), 1, 1);
+    int t = a->component_type();
+    if (t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
+        bad("indices are not unsigned integers");
+    return a;
+}
+
+/* Triangles that n indices make. */
+uint64_t primitive_reader::triangles_of(uint64_t n)
+{
+    if (n > UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 indices", d.path(), where.c_str());
+    if (p.mode == TINYGLTF_MODE_TRIANGLES && n % 3 != 0)
+        svo_warn(d.warnings(), "%s: %s: indices are no multiple of three; the rest is left out", d.path(), where.c_str());
+    return p.mode == TINYGLTF_MODE_TRIANGLES ? n / 3 : n >= 3 ? n - 2 : 0;
+}
+
+/* Call each(corners) for the triangles that indices (from the accessor, or 0, 1, 2 ...) make. */
+template <class F> void primitive_reader::unroll(uint64_t triangles, const gltf_accessor *from, F &&each)
 {
     auto get = [&](uint64_t i) -> uint32_t { return from != nullptr ? from->get_index(i) : static_cast<uint32_t>(i); };
-    if (n > UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 indices", d.path(), where.c_str());
-    uint64_t triangles = p.mode == TINYGLTF_MODE_TRIANGLES ? n / 3 : n >= 3 ? n - 2 : 0;
     gltf_charge(d, 3 * triangles);
-    indices.reserve(3 * triangles);
-    if (p.mode == TINYGLTF_MODE_TRIANGLES) {
-        if (n % 3 != 0) svo_warn(d.warnings(), "%s: %s: indices are no multiple of three; the rest is left out", d.path(), where.c_str());
-        for (uint64_t i = 0; i < 3 * triangles; i++) indices.push_back(get(i));
-        return;
-    }
-    bool strip = p.mode == TINYGLTF_MODE_TRIANGLE_STRIP;
+    const bool list = p.mode == TINYGLTF_MODE_TRIANGLES, strip = p.mode == TINYGLTF_MODE_TRIANGLE_STRIP;
     for (uint64_t i = 0; i < triangles; i++) {
         /* Strips turn every second triangle; fans share vertex 0 (specification, 3.7.2.1). */
-        uint64_t a = strip ? i : 0, b = strip ? i + 1 + (i & 1) : i + 1, c = strip ? i + 2 - (i & 1) : i + 2;
-        uint32_t t[3] = {get(a), get(b), get(c)};
-        indices.insert(indices.end(), t, t + 3);
+        uint64_t a = list ? 3 * i : strip ? i : 0, b = list ? 3 * i + 1 : strip ? i + 1 + (i & 1) : i + 1;
+        uint64_t c = list ? 3 * i + 2 : strip ? i + 2 - (i & 1) : i + 2;
+        const uint32_t t[3] = {get(a), get(b), get(c)};
+        each(t);
     }
 }
 
@@ -126,79 +153,87 @@ void primitive_reader::read_indices()
         if (p.mode == TINYGLTF_MODE_TRIANGLES || p.mode == TINYGLTF_MODE_TRIANGLE_STRIP) return; /* decoded as triangles in any case */
         bad("Draco data in a mode that is not triangles");
     }
-    if (index_accessor < 0) {
-        unroll(vertex_count, nullptr);
-        return;
-    }
-    gltf_accessor a(d, index_accessor, (where + ", indices").c_str(), 1, 1);
-    int t = a.component_type();
-    if (t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_BYTE && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_SHORT && t != TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT)
-        bad("indices are not unsigned integers");
-    unroll(a.count(), &a);
+    std::unique_ptr<gltf_accessor> a = open_indices();
+    const uint64_t triangles = triangles_of(a != nullptr ? a->count() : vertex_count);
+    reserve.take(d.context, 6 * triangles * sizeof(uint32_t), where.c_str()); /* also for the vertices to keep */
+    indices.reserve(3 * triangles);
+    unroll(triangles, a.get(), [this](const uint32_t *t) { indices.insert(indices.end(), t, t + 3); });
 }
 
-void primitive_reader::fill(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n)
+void primitive_reader::check_range(const uint32_t *t, size_t n) const
+{
+    for (size_t i = 0; i < n; i++)
+        if (t[i] >= vertex_count)
+            svo_throw(SVO_INVALID_DATA, "%s: %s: index %u, but there are %llu vertices", d.path(), where.c_str(), t[i],
+                      (unsigned long long)vertex_count);
+}
+
+attributes primitive_reader::open()
+{
+    attributes a;
+    a.positions = find("POSITION", 3, 3);
+    a.normals = find("NORMAL", 3, 3);
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) a.uvs[u] = find(("TEXCOORD_" + std::to_string(u)).c_str(), 2, 2);
+    a.colors = find("COLOR_0", 3, 4);
+    for (int s = 0; skinning != nullptr && s < 4; s++) {
+        attributes::binding one;
+        one.joints = find(("JOINTS_" + std::to_string(s)).c_str(), 4, 4);
+        one.weights = find(("WEIGHTS_" + std::to_string(s)).c_str(), 4, 4);
+        if (!one.joints.present() || !one.weights.present()) break;
+        a.bindings.push_back(std::move(one));
+    }
+    if (skinning != nullptr && a.bindings.empty())
+        svo_warn(d.warnings(), "%s: %s has a skin but no joints and weights; taken as it is, at the origin", d.path(), where.c_str());
+    return a;
+}
+
+/* Vertices keep[0 .. n) (all, where it is empty) into the part's arrays, which are there for all attributes that are present. */
+void primitive_reader::fill(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n)
 {
     auto vertex = [&](uint64_t i) -> uint64_t { return keep.empty() ? i : keep[i]; };
     double v[16];
-    source positions = find("POSITION", 3, 3);
-    part->positions = gltf_array<double>(d, n, 3);
     for (uint64_t i = 0; i < n; i++) {
-        positions.get(vertex(i), v);
+        a.positions.get(vertex(i), v);
         std::memcpy(part->positions + 3 * i, v, 3 * sizeof(double));
     }
-    source normals = find("NORMAL", 3, 3);
-    if (normals.present()) {
-        part->normals = gltf_array<float>(d, n, 3);
-        for (uint64_t i = 0; i < n; i++) {
-            normals.get(vertex(i), v);
-            for (uint64_t k = 0; k < 3; k++) part->normals[3 * i + k] = static_cast<float>(v[k]);
-        }
+    for (uint64_t i = 0; a.normals.present() && i < n; i++) {
+        a.normals.get(vertex(i), v);
+        for (uint64_t k = 0; k < 3; k++) part->normals[3 * i + k] = static_cast<float>(v[k]);
     }
-    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) {
-        source uvs = find(("TEXCOORD_" + std::to_string(u)).c_str(), 2, 2);
-        if (!uvs.present()) continue;
-        part->uvs[u] = gltf_array<float>(d, n, 2);
-        for (uint64_t i = 0; i < n; i++) {
-            uvs.get(vertex(i), v);
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++)
+        for (uint64_t i = 0; a.uvs[u].present() && i < n; i++) {
+            a.uvs[u].get(vertex(i), v);
             part->uvs[u][2 * i] = static_cast<float>(v[0]);
             part->uvs[u][2 * i + 1] = static_cast<float>(v[1]);
         }
+    for (uint64_t i = 0; a.colors.present() && i < n; i++) {
+        v[3] = 1;
+        a.colors.get(vertex(i), v);
+        /* Linear, 0..1 by the specification; what is not a number is white. */
+        for (uint64_t k = 0; k < 4; k++) part->colors[4 * i + k] = std::isnan(v[k]) ? 1.0f : static_cast<float>(std::clamp(v[k], 0.0, 1.0));
     }
-    source colors = find("COLOR_0", 3, 4);
-    if (colors.present()) {
-        part->colors = gltf_array<float>(d, n, 4);
-        for (uint64_t i = 0; i < n; i++) {
-            v[3] = 1;
-            colors.get(vertex(i), v);
-            /* Linear, 0..1 by the specification; what is not a number is white. */
-            for (uint64_t k = 0; k < 4; k++) part->colors[4 * i + k] = std::isnan(v[k]) ? 1.0f : static_cast<float>(std::clamp(v[k], 0.0, 1.0));
-        }
-    }
+    if (!a.bindings.empty()) skin(part, a, keep, n);
+}
+
+/* Arrays for n vertices. */
+void allocate(const gltf_document &d, svo_part *part, const attributes &a, uint64_t n)
+{
+    part->positions = gltf_array<double>(d, n, 3);
+    if (a.normals.present()) part->normals = gltf_array<float>(d, n, 3);
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++)
+        if (a.uvs[u].present()) part->uvs[u] = gltf_array<float>(d, n, 2);
+    if (a.colors.present()) part->colors = gltf_array<float>(d, n, 4);
 }
 
 /* Bind pose: vertex = sum of weight * joint matrix * vertex. The instance then stands at the origin (a skinned node's own
  * transform has no effect). */
-void primitive_reader::skin(svo_part *part, const std::vector<uint32_t> &keep, uint64_t n)
+void primitive_reader::skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n)
 {
-    struct set { source joints, weights; };
-    std::vector<set> sets;
-    for (int s = 0; s < 4; s++) {
-        set one;
-        one.joints = find(("JOINTS_" + std::to_string(s)).c_str(), 4, 4);
-        one.weights = find(("WEIGHTS_" + std::to_string(s)).c_str(), 4, 4);
-        if (!one.joints.present() || !one.weights.present()) break;
-        sets.push_back(std::move(one));
-    }
-    if (sets.empty()) {
-        svo_warn(d.warnings(), "%s: %s has a skin but no joints and weights; taken as it is, at the origin", d.path(), where.c_str());
-        return;
-    }
     for (uint64_t i = 0; i < n; i++) {
         uint64_t from = keep.empty() ? i : keep[i];
         svo_mat4 m{};
         double total = 0;
-        for (const set &s : sets) {
+        for (const attributes::binding &s : a.bindings) {
             double joint[4], weight[4];
             s.joints.get(from, joint);
             s.weights.get(from, weight);
@@ -237,17 +272,19 @@ bool primitive_reader::prepare()
     }
     vertex_count = is_draco ? draco_points : d.model.accessors.at(static_cast<size_t>(position->second)).count;
     if (vertex_count >= UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 vertices", d.path(), where.c_str());
+    if (d.spilling && !is_draco) return true; /* indices are read and checked on the way */
     read_indices();
-    for (uint32_t i : indices)
-        if (i >= vertex_count)
-            svo_throw(SVO_INVALID_DATA, "%s: %s: index %u, but there are %llu vertices", d.path(), where.c_str(), i,
-                      (unsigned long long)vertex_count);
+    check_range(indices.data(), indices.size());
     return true;
 }
 
 void primitive_reader::check()
 {
     if (!prepare()) return;
+    if (d.spilling && !is_draco) {
+        std::unique_ptr<gltf_accessor> a = open_indices();
+        unroll(triangles_of(a != nullptr ? a->count() : vertex_count), a.get(), [this](const uint32_t *t) { check_range(t, 3); });
+    }
     find("POSITION", 3, 3);
     find("NORMAL", 3, 3);
     find("COLOR_0", 3, 4);
@@ -262,6 +299,11 @@ void primitive_reader::build(svo_part *part)
 {
     part->material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
     if (!prepare()) return;
+    if (!p.targets.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
+    if (d.spilling && !is_draco) {
+        spill(part);
+        return;
+    }
     /* Meshes that share one large vertex buffer take only what they use; so memory follows the indices. */
     std::vector<uint32_t> keep;
     if (vertex_count > indices.size()) {
@@ -275,18 +317,80 @@ void primitive_reader::build(svo_part *part)
     gltf_charge(d, n);
     part->vertex_count = n;
     part->triangle_count = indices.size() / 3;
-    fill(part, keep, n);
-    if (skinning != nullptr) skin(part, keep, n);
+    const attributes a = open();
+    allocate(d, part, a, n);
+    fill(part, a, keep, n);
     part->indices = gltf_array<uint32_t>(d, part->triangle_count, 3);
     std::memcpy(part->indices, indices.data(), indices.size() * sizeof(uint32_t));
-    if (!p.targets.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
+}
+
+/* A part of triangles with corners of their own, made some at a time. */
+struct batch {
+    const gltf_document &d;
+    svo_part part{};
+    std::vector<uint32_t> corners;
+    uint8_t *records = nullptr;
+    uint64_t bytes = 0;
+
+    enum : uint64_t { TRIANGLES = 4096 };
+    batch(const gltf_document &doc, const attributes &a, uint32_t stride) : d(doc)
+    {
+        part.vertex_count = 3 * TRIANGLES;
+        part.triangle_count = TRIANGLES;
+        try {
+            allocate(d, &part, a, part.vertex_count);
+            part.indices = gltf_array<uint32_t>(d, TRIANGLES, 3);
+            for (uint32_t i = 0; i < 3 * TRIANGLES; i++) part.indices[i] = i;
+            corners.reserve(3 * TRIANGLES);
+            bytes = TRIANGLES * stride;
+            records = gltf_array<uint8_t>(d, bytes);
+        } catch (...) {
+            release();
+            throw;
+        }
+    }
+    ~batch() { release(); }
+    batch(const batch &) = delete;
+    batch &operator=(const batch &) = delete;
+    void release()
+    {
+        import_part_free(d.context->allocator, &part);
+        svo_free(d.context->allocator, records, bytes, 1);
+    }
+};
+
+void primitive_reader::spill(svo_part *part)
+{
+    const attributes a = open();
+    bool uvs[SVO_MAX_UV_SETS];
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) uvs[u] = a.uvs[u].present();
+    const bool wide = !a.bindings.empty() || !a.positions.accessor->fits_floats();
+    const svo_soup_layout layout = svo_soup_layout_make(wide, a.normals.present(), uvs, a.colors.present());
+    svo_error err{};
+    if (d.soup == nullptr) svo_check(svo_soup_file_create(d.context->spill, d.context->allocator, &d.soup, &err), err);
+    batch b(d, a, layout.stride);
+    auto flush = [&] {
+        const uint64_t n = b.corners.size() / 3;
+        if (n == 0) return;
+        fill(&b.part, a, b.corners, 3 * n);
+        for (uint64_t i = 0; i < n; i++) svo_soup_pack(&layout, &b.part, i, b.records + i * layout.stride);
+        svo_check(svo_soup_append(part, d.soup, &layout, d.context->allocator, b.records, n, &err), err);
+        b.corners.clear();
+    };
+    std::unique_ptr<gltf_accessor> index = open_indices();
+    unroll(triangles_of(index != nullptr ? index->count() : vertex_count), index.get(), [&](const uint32_t *t) {
+        check_range(t, 3);
+        b.corners.insert(b.corners.end(), t, t + 3);
+        if (b.corners.size() == 3 * batch::TRIANGLES) flush();
+    });
+    flush();
 }
 
 primitive_reader reader_of(gltf_document &d, int mesh, uint32_t i, const gltf_skinning *skinning)
 {
     return primitive_reader{d, d.model.meshes[static_cast<size_t>(mesh)].primitives[i],
                             "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
-                            d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false};
+                            d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false, {}, {}};
 }
 
 } // namespace

@@ -1,6 +1,7 @@
 """svo-voxelize --memory: meshes larger than memory, full disks, inputs that change, runs that are killed."""
 
 import array
+import base64
 import json
 import os
 import random
@@ -322,6 +323,72 @@ def test_textures_larger_than_memory(folder):
     for mesh in (folder / "m.gltf", mesh):
         r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "-f", "--depth", "8", "--memory", "24M", "--temp-size", "20M")
         check(r.code == 6 and "texture" in r.err and "20971520" in r.err, r)
+
+
+def test_gltf_larger_than_memory(folder):
+    mesh = textured_sheets(folder, 1, 64, 400, True)
+    report = compare(folder, mesh, "20M", 20 << 20, "--depth", "8", "--reference", "0")
+    check(report["input"]["spilled_triangles"] == 320000, report["input"])
+
+
+def strip_gltf(path, rows, columns, skinned):
+    """One strip to and fro, without indices: quantised positions with normals and colours of bytes, or skinned ones."""
+    points, normals, colours, joints, weights = array.array("h"), array.array("b"), array.array("B"), array.array("B"), array.array("B")
+    for y in range(rows):
+        for x in range(columns):
+            for k in range(2):
+                points.extend((int(32767 * x / columns), (x * 31 + y * 17) % 400, int(32767 * (y + k) / rows), 0))
+                normals.extend((x % 50, 120, y % 70, 0))
+                colours.extend((x % 256, y % 256, (x * y) % 256, 255))
+                joints.extend((0, 1, 0, 0))
+                weights.extend((255 - x % 256, x % 256, 0, 0))
+    count = 2 * rows * columns
+    lists = [("POSITION", points, 5122, "VEC3", True), ("NORMAL", normals, 5120, "VEC3", True), ("COLOR_0", colours, 5121, "VEC4", True)]
+    if skinned:
+        lists[2:] = [("JOINTS_0", joints, 5121, "VEC4", False), ("WEIGHTS_0", weights, 5121, "VEC4", True)]
+    binary, views, accessors = b"", [], []
+    for i, (_, values, component, kind, normalized) in enumerate(lists):
+        data = values.tobytes()
+        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data), "byteStride": len(data) // count})
+        accessors.append({"bufferView": i, "componentType": component, "count": count, "type": kind, "normalized": normalized})
+        binary += data
+    accessors[0].update(min=[0, 0, 0], max=[32767, 400, 32767])
+    gltf = {"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_mesh_quantization"], "extensionsRequired": ["KHR_mesh_quantization"],
+            "buffers": [{"uri": "strip.bin", "byteLength": len(binary)}], "bufferViews": views, "accessors": accessors,
+            "meshes": [{"primitives": [{"mode": 5, "attributes": {l[0]: i for i, l in enumerate(lists)}}]}],
+            "nodes": [dict({"mesh": 0}, **({"skin": 0} if skinned else {})), {"translation": [0, 0.5, 0]}, {"rotation": [0, 0.6, 0, 0.8]}],
+            "scenes": [{"nodes": [0, 1, 2]}], "scene": 0}
+    if skinned:
+        gltf["skins"] = [{"joints": [1, 2]}]
+    (path.parent / "strip.bin").write_bytes(binary)
+    path.write_text(json.dumps(gltf))
+
+
+def test_kinds_of_gltf_larger_than_memory(folder):
+    for skinned in (False, True):
+        strip_gltf(folder / "strip.gltf", 260, 600, skinned)
+        report = compare(folder, folder / "strip.gltf", "18M", 18 << 20, "--depth", "8", "--reference", "0")
+        check(report["input"]["spilled_triangles"] == 2 * 260 * 600 - 2, report["input"])
+    with open(folder / "strip.gltf") as f:
+        gltf = json.load(f)
+    gltf["accessors"][0]["count"] -= 1
+    (folder / "strip.gltf").write_text(json.dumps(gltf))
+    a = tool("svo-voxelize", folder / "strip.gltf", "-o", folder / "x.svo", "--depth", "8")
+    b = tool("svo-voxelize", folder / "strip.gltf", "-o", folder / "x.svo", "--depth", "8", "--memory", "18M")
+    check(a.code == 3 and b.code == 3 and a.err == b.err, str(a) + str(b))
+
+
+def test_json_larger_than_memory(folder):
+    """What cannot be kept outside of memory is refused by name, and does not take more than is allowed where it is not."""
+    nodes = [{"mesh": 0, "name": "node %d" % i, "translation": [i % 100, i // 100, 0], "scale": [0.5, 0.5, 0.5]} for i in range(40000)]
+    points = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    gltf = {"asset": {"version": "2.0"}, "buffers": [{"uri": "data:application/octet-stream;base64," + base64.b64encode(points).decode(), "byteLength": 36}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}], "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}], "nodes": nodes, "scenes": [{"nodes": list(range(40000))}], "scene": 0}
+    (folder / "m.gltf").write_text(json.dumps(gltf))
+    r = tool("svo-voxelize", folder / "m.gltf", "-o", folder / "a.svo", "--depth", "7", "--memory", "40M")
+    check(r.code == 6 and "JSON" in r.err, r)
+    compare(folder, folder / "m.gltf", "128M", 128 << 20, "--depth", "7")
 
 
 def test_materials_that_change(folder):
