@@ -342,6 +342,10 @@ static bool face_line(fast_job *j, line_block *b, uint64_t row, const char **at,
             continue;
         }
         if (!svo_buffer_reserve(&b->corners, n * sizeof(uint32_t)) || !svo_buffer_reserve(&b->sizes, sizeof n)) return false;
+        if (n == 0) { /* maybe no corner yet and no memory for any: there is nothing to point at */
+            b->short_faces = true;
+            continue;
+        }
         uint32_t *to = (uint32_t *)(void *)(b->corners.data + b->corners.size);
         for (uint32_t k = 0; k < n; k++) {
             if (!line_value(at, stop, &v) || !(v >= 0) || v >= (double)j->vertices || v != (double)(uint32_t)v) return false;
