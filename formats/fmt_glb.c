@@ -3,9 +3,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "fmt_memory.h"
+
 void fmt_glb_begin(fmt_glb *g, const svo_allocator *a)
 {
-    *g = (fmt_glb){.root = json_pack("{s:{s:s,s:s}}", "asset", "version", "2.0", "generator", "svokit " SVO_VERSION_STRING), .views = json_array(), .accessors = json_array()};
+    uint64_t failures = fmt_json_failures();
+    *g = (fmt_glb){.json_failures = failures, .root = json_pack("{s:{s:s,s:s}}", "asset", "version", "2.0", "generator", "svokit " SVO_VERSION_STRING), .views = json_array(), .accessors = json_array()};
     svo_buffer_init(&g->bytes, a);
     g->failed = g->root == NULL || g->views == NULL || g->accessors == NULL;
 }
@@ -58,6 +61,10 @@ svo_result fmt_glb_write(fmt_glb *g, fmt_output *out, svo_error *err)
         json_object_set(g->root, "bufferViews", g->views);
         json_object_set_new(g->root, "buffers", json_pack("[{s:I}]", "byteLength", (json_int_t)g->bytes.size));
         text = json_dumps(g->root, JSON_COMPACT | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(17));
+    }
+    if (fmt_json_failures() != g->json_failures) { /* parts may be missing */
+        free(text);
+        text = NULL;
     }
     if (text == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to write glTF, or the model is larger than a .glb file can be (4 GB)");
     size_t n = strlen(text);

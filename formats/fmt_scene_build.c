@@ -64,7 +64,7 @@ void fmt_scene_build_close(fmt_scene_build *b)
 {
     if (b == NULL) return;
     svo_packed_scene_free(b->packed);
-    for (uint32_t i = 0; i < b->count; i++) {
+    for (uint32_t i = 0; b->entries != NULL && i < b->count; i++) {
         entry *e = &b->entries[i];
         if (e->svdag_open) fmt_svdag_close(&e->svdag);
         if (e->bytes.data != NULL) fmt_bytes_close(&e->bytes);

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "fmt_memory.h"
 #include "fmt_utf8.h"
 #include "svo_mesh.h"
 #include "svo_text.h"
@@ -437,7 +438,9 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     svo_buffer_init(&p.assets, a);
     svo_buffer_init(&p.places, a);
     svo_buffer_init(&p.names, a);
+    uint64_t failures = fmt_json_failures();
     svo_result result = read_all(&p);
+    if (fmt_json_failures() != failures) result = no_memory(&p); /* whatever it said */
     svo_free(a, p.slot, p.slots, sizeof *p.slot);
     svo_free(a, p.first_use, p.slots / 2, sizeof *p.first_use);
     scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names;

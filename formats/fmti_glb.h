@@ -16,6 +16,7 @@ enum {
 typedef struct fmt_glb {
     svo_buffer bytes;
     json_t *root, *views, *accessors; /* root: {asset, ...}; all NULL when out of memory */
+    uint64_t json_failures; /* fmt_json_failures() at the beginning */
     bool failed;
 } fmt_glb;
 

@@ -374,6 +374,7 @@ int cli_begin(cli *c, const cli_tool *tool, int argc, char **argv)
     memset(c, 0, sizeof *c);
     fill_standard_descriptors();
     set_signals();
+    cli_watch_memory();
     c->tool = tool;
     c->started = c->phase_started = svo_seconds();
     c->json = json_object();

@@ -27,6 +27,9 @@ void cli_report_options(cli *c);
 /* Line i of w, with the number of times where that is not 1. */
 void cli_warning_text(const svo_warnings *w, uint32_t i, char *out, size_t size);
 
+/* Called once before anything else: ends the tool with exit code 4 and a message where memory runs out inside jansson or a C++ destructor. */
+void cli_watch_memory(void);
+
 /* stderr line with prefix, clearing a progress line first. */
 void cli_say(const cli *c, const char *kind, const char *text);
 

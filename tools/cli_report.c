@@ -60,7 +60,8 @@ void cli_phase(cli *c, const char *name)
         json_t *phases = json_object_get(c->json, "phases"), *entry = NULL;
         for (size_t i = 0; i < json_array_size(phases) && entry == NULL; i++) {
             json_t *e = json_array_get(phases, i);
-            if (strcmp(json_string_value(json_object_get(e, "name")), c->phase) == 0) entry = e;
+            const char *earlier = json_string_value(json_object_get(e, "name"));
+            if (earlier != NULL && strcmp(earlier, c->phase) == 0) entry = e;
         }
         double before = 0;
         if (entry == NULL) {

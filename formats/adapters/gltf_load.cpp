@@ -289,6 +289,7 @@ void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size)
     std::string error, warning;
     bool ok = loader.LoadASCIIFromString(&d.model, &error, &warning, slim.data(), static_cast<unsigned>(slim.size()), "");
     while (!error.empty() && error.back() == '\n') error.pop_back();
+    if (!ok && error.find("bad_alloc") != std::string::npos) throw std::bad_alloc(); /* it turns exceptions into text */
     /* tinygltf leaves out what it cannot read and only says so: an error text is as bad as a refusal. */
     if (!ok || !error.empty()) svo_throw(SVO_INVALID_DATA, "%s: %.180s", d.path(), error.empty() ? "not a glTF asset" : error.c_str());
 }
