@@ -18,6 +18,8 @@ typedef struct dump_job {
     bool quick;         /* hashes only; nothing that needs decoding */
     const char *voxels; /* PLY to write, or NULL */
     uint64_t limit;     /* voxels that --voxels may write */
+    const char *html;   /* page to write, or NULL */
+    uint64_t html_size; /* its bytes at most */
     const char *source; /* .svo to hold a .svdag against, or NULL */
     json_t *json;       /* filled by the functions below */
 } dump_job;
@@ -29,6 +31,9 @@ svo_result dump_svdag(dump_job *j, svo_error *err);
 svo_result dump_against_source(dump_job *j, const svo_view *v, const char *provenance, svo_error *err);
 svo_result dump_scene(dump_job *j, svo_error *err);
 svo_result dump_skel(dump_job *j, svo_error *err);
+
+/* Write j->html: a page that draws the file. j->json is already filled, and shown on it. */
+svo_result dump_html(dump_job *j, svo_error *err);
 
 /* --- shared by the kinds (dump_common.c) --- */
 

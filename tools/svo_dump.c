@@ -4,7 +4,7 @@
 
 #include "dump.h"
 
-static svo_result dump_bytes(dump_job *j, svo_error *err)
+static svo_result dump_kind(dump_job *j, svo_error *err)
 {
     uint32_t kind = fmt_container_kind(j->data, j->size);
     if (j->source != NULL && kind != FMT_KIND_SVDAG) return svo_fail(err, SVO_UNSUPPORTED, "--source is for .svdag files");
@@ -16,6 +16,12 @@ static svo_result dump_bytes(dump_job *j, svo_error *err)
     SVO_TRY(fmt_container_open(j->data, j->size, j->allocator, &c, err));
     fmt_container_close(&c);
     return svo_fail(err, SVO_UNSUPPORTED, "a file of this kind cannot be read by this version");
+}
+
+static svo_result dump_bytes(dump_job *j, svo_error *err)
+{
+    SVO_TRY(dump_kind(j, err));
+    return j->html != NULL ? dump_html(j, err) : SVO_OK;
 }
 
 static svo_result dump_file(dump_job *j, svo_error *err)
@@ -75,7 +81,7 @@ static json_t *verdict(const dump_job *j, svo_result r, const svo_error *err)
     return o;
 }
 
-typedef struct dump_options { bool json, validate, quick; const char *voxels, *source; uint64_t limit; } dump_options;
+typedef struct dump_options { bool json, validate, quick; const char *voxels, *source, *html; uint64_t limit, html_size; } dump_options;
 
 /* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
 static svo_result run(cli *c, const dump_options *o, svo_error *err)
@@ -84,12 +90,13 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     json_t *all = json_array();
     svo_result first = SVO_OK;
-    bool text = !o->json && (o->voxels == NULL || strcmp(o->voxels, "-") != 0);
+    bool text = !o->json && (o->voxels == NULL || strcmp(o->voxels, "-") != 0) && (o->html == NULL || strcmp(o->html, "-") != 0);
     cli_phase(c, o->validate ? "validate" : "dump");
     for (int i = 0; i < c->input_count; i++) {
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
-                      .voxels = o->voxels, .limit = o->limit, .source = o->source, .json = json_object()};
+                      .voxels = o->voxels, .limit = o->limit, .source = o->source, .html = o->html, .html_size = o->html_size,
+                      .json = json_object()};
         svo_result r = dump_file(&j, &e);
         if (r != SVO_OK) {
             if (first == SVO_OK) first = r, *err = e;
@@ -113,7 +120,7 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    dump_options o = {.limit = (uint64_t)1 << 31};
+    dump_options o = {.limit = (uint64_t)1 << 31, .html_size = (uint64_t)16 << 20};
     cli_option options[] = {
         {.name = "json", .kind = CLI_FLAG, .value = &o.json, .help = "Print JSON: an object, or an array for several files."},
         {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary."},
@@ -122,17 +129,21 @@ int main(int argc, char **argv)
         {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
          .help = "Write every finest voxel to a binary PLY point cloud; - is stdout, then nothing else is printed."},
         {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels writes."},
+        {.name = "html", .kind = CLI_TEXT, .value = &o.html, .argument = "OUT.html", .no_default = true,
+         .help = "Write one page that draws the octree or scene in a browser (WebGL 2), without a server or network; - is stdout."},
+        {.name = "html-size", .kind = CLI_SIZE, .value = &o.html_size, .argument = "SIZE", .min = 1 << 17, .max = 1u << 30,
+         .help = "Most bytes of that page; where it would grow over this it shows a coarser level."},
         {.name = "quick", .kind = CLI_FLAG, .value = &o.quick, .help = "Check hashes only; leave out what needs decoding, such as bounds."},
     };
     cli_tool tool = {
         .name = "svo-dump",
         .summary = "Show what is in a file of this toolchain, check it, and write its voxels as points.",
-        .synopsis = "FILE... [--json] [--validate] [--voxels OUT.ply]",
+        .synopsis = "FILE... [--json] [--validate] [--voxels OUT.ply] [--html OUT.html]",
         .options = options,
         .option_count = sizeof options / sizeof options[0],
         .details = "FILE is a .svo, .svdag, .svscene or .skel, told apart by content; - is stdin.\n"
                    "A damaged file ends with exit code 3 and a message that names the chunk, the byte and the rule that is broken.",
-        .example = "svo-dump bunny.svo\nsvo-dump --json bunny.svdag\nsvo-dump bunny.svdag --voxels bunny.ply",
+        .example = "svo-dump bunny.svo\nsvo-dump --json bunny.svdag\nsvo-dump bunny.svdag --voxels bunny.ply\nsvo-dump city.svscene --html city.html",
         .min_inputs = 1,
         .max_inputs = -1,
     };
@@ -144,6 +155,9 @@ int main(int argc, char **argv)
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
+    if (o.html != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--html takes one FILE and excludes --validate");
+    if (o.html != NULL && strcmp(o.html, "-") == 0 && (o.json || (o.voxels != NULL && strcmp(o.voxels, "-") == 0)))
+        return cli_usage(&c, "--html - and another output would both write to stdout");
     svo_error err = {0};
     svo_result r = run(&c, &o, &err);
     return cli_end(&c, r, &err);
