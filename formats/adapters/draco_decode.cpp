@@ -20,6 +20,8 @@ void read_attribute(const char *path, const draco::Mesh &mesh, const draco::Poin
 {
     int n = a.num_components();
     if (n < 1 || n > 4) svo_throw(SVO_INVALID_DATA, "%s: a Draco attribute has %d components", path, n);
+    /* No attribute of a mesh means truth values, and Draco loads whatever byte is there as a bool, which C++ leaves undefined. */
+    if (a.data_type() == draco::DT_BOOL) svo_throw(SVO_INVALID_DATA, "%s: a Draco attribute holds truth values", path);
     out->components = n;
     out->integral = a.data_type() != draco::DT_FLOAT32 && a.data_type() != draco::DT_FLOAT64;
     out->values.resize(static_cast<size_t>(mesh.num_points()) * static_cast<size_t>(n));
