@@ -111,7 +111,7 @@ svo_result fmti_parse_chunk(const uint8_t *b, uint64_t at, fmt_chunk *c, svo_err
                    .element_stride = fmt_load32(b + 32), .id = fmt_load64(b + 40), .hash = fmt_load64(b + 48)};
     if ((n.flags & ~FMT_CHUNK_CRITICAL) != 0 || fmt_load32(b + 36) != 0)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, n.type, at, "reserved fields of the chunk header are not 0 (CON-03)");
-    if (n.codec != FMT_CODEC_NONE && n.codec != FMT_CODEC_ZSTD)
+    if (n.codec > FMT_CODEC_PACKED)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, n.type, at, "unknown codec %u (CON-08)", n.codec);
     if (n.codec == FMT_CODEC_NONE && n.stored_size != n.decoded_size)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, n.type, at, "%llu bytes stored, %llu decoded, though not compressed (CON-08)",

@@ -24,7 +24,8 @@ uint32_t fmt_container_kind(const uint8_t *data, uint64_t size);
 enum {
     FMT_CHUNK_CRITICAL = 1,     /* a reader that does not know the type must refuse the file */
     FMT_CODEC_NONE = 0,
-    FMT_CODEC_ZSTD = 1
+    FMT_CODEC_ZSTD = 1,
+    FMT_CODEC_PACKED = 2        /* as the chunk's type says */
 };
 
 /* One chunk as its header and the table describe it. */

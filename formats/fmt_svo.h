@@ -10,7 +10,8 @@ extern "C" {
 #endif
 
 /* Writer. Give fmt_svo_sink's result to the voxelizer; then fmt_svo_writer_end. `provenance` is JSON text (tool,
- * version, options, inputs with hashes; no paths, times or thread counts) and may be NULL. level is zstd's (0 = 3). */
+ * version, options, inputs with hashes; no paths, times or thread counts) and may be NULL. level: 0 packs values with a codec of our own (masks
+ * with zstd at level 3); 1..19 compresses both with zstd at that level. */
 typedef struct fmt_svo_writer fmt_svo_writer;
 svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, const char *provenance, int level,
                                 const svo_allocator *a, fmt_svo_writer **writer, svo_error *err);
@@ -63,7 +64,7 @@ svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *o
  * with the same level. HEAD, SHRD and META stay. counts and info may be NULL. */
 typedef struct fmt_svo_recode_options {
     bool small;
-    int level; /* zstd's, 0 = 3 */
+    int level; /* as of fmt_svo_writer_begin */
     uint32_t threads;
     const svo_allocator *allocator;
 } fmt_svo_recode_options;

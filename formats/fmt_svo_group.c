@@ -46,7 +46,7 @@ static svo_result group_flush(fmti_group *g, fmt_writer *w, svo_error *err)
     g->records.data[0] = (uint8_t)g->count;
     if (svo_buffer_append(&g->records, g->streams.data, g->streams.size) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a group of chunks");
     uint64_t size = g->records.size;
-    fmt_chunk c = {.type = FMTI_SVO_GRUP, .flags = FMT_CHUNK_CRITICAL, .stored_size = size, .decoded_size = size, .element_count = g->values, .id = g->first};
+    fmt_chunk c = {.type = FMTI_SVO_GRUP, .flags = FMT_CHUNK_CRITICAL, .codec = g->codec, .stored_size = size, .decoded_size = size, .element_count = g->values, .id = g->first};
     svo_result r = fmt_writer_chunk(w, &c, g->records.data, err);
     g->records.size = g->streams.size = 0;
     g->count = 0;
@@ -55,10 +55,11 @@ static svo_result group_flush(fmti_group *g, fmt_writer *w, svo_error *err)
 
 static svo_result group_add(fmti_group *g, fmt_writer *w, const fmt_chunk *c, const uint8_t *bytes, svo_error *err)
 {
-    if (g->count != 0 && (c->id >> GROUP_CODES != g->first >> GROUP_CODES || g->streams.size + c->stored_size > GROUP_BYTES)) SVO_TRY(group_flush(g, w, err));
+    if (g->count != 0 && (c->codec != g->codec || c->id >> GROUP_CODES != g->first >> GROUP_CODES || g->streams.size + c->stored_size > GROUP_BYTES)) SVO_TRY(group_flush(g, w, err));
     uint8_t record[1 + 4 * 10], *at = record;
     if (g->count == 0) {
         g->first = c->id;
+        g->codec = c->codec;
         g->values = 0;
         *at++ = 0; /* the count, when it is known */
     }
@@ -106,7 +107,7 @@ svo_result fmti_group_parse(const fmt_chunk *c, const svo_buffer *payload, uint3
         if (ok && voxel_bytes != 0) ok = load_varint(&in, &zipped);
         if (!ok || low >> GROUP_CODES != 0 || coded > payload->size || zipped > payload->size)
             return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "bad record of subtree %u (SVO-12)", i);
-        out[i] = (fmt_chunk){.type = c->type, .flags = c->flags, .offset = c->offset, .id = c->id >> GROUP_CODES << GROUP_CODES | low, .element_count = own,
+        out[i] = (fmt_chunk){.type = c->type, .flags = c->flags, .codec = c->codec, .offset = c->offset, .id = c->id >> GROUP_CODES << GROUP_CODES | low, .element_count = own,
                              .element_stride = (uint32_t)coded, .stored_size = coded + zipped, .decoded_size = 16 + masks + own * voxel_bytes};
         values += own;
     }

@@ -174,7 +174,7 @@ static svo_result check_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_error *e
 {
     uint64_t at = c->offset - 64;
     uint32_t level = svo_chunk_level(r->info.depth), levels = r->info.depth - level;
-    if (c->type == FMTI_SVO_TREE) SVO_TRY(need(c, FMT_CODEC_ZSTD, err));
+    if (c->type == FMTI_SVO_TREE) SVO_TRY(need(c, c->codec == FMT_CODEC_PACKED && r->voxel_bytes != 0 ? FMT_CODEC_PACKED : FMT_CODEC_ZSTD, err));
     if (c->id >> 3 * level != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx lies outside the grid (SVO-05)", (unsigned long long)c->id);
     if (r->has_previous && c->id < r->end)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx comes after %llx (SVO-05)", (unsigned long long)c->id, (unsigned long long)r->previous);
@@ -258,8 +258,9 @@ static svo_result give_tree(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *p
 /* A GRUP chunk as a whole, before its subtrees are handed out. */
 static svo_result check_group(fmt_svo_reader *r, const fmt_chunk *c, svo_error *err)
 {
-    if ((c->flags & FMT_CHUNK_CRITICAL) == 0 || c->codec != FMT_CODEC_NONE || c->element_stride != 0)
-        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "wrong flags, codec or element fields (SVO-01)");
+    const bool codec = c->codec == FMT_CODEC_NONE || (c->codec == FMT_CODEC_PACKED && r->voxel_bytes != 0 && c->decoded_size == c->stored_size);
+    if ((c->flags & FMT_CHUNK_CRITICAL) == 0 || !codec || c->element_stride != 0)
+        return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, c->offset - 64, "wrong flags, codec, size or element fields (SVO-01)");
     SVO_TRY(fmt_stream_payload(r->stream, c, &r->group, err));
     r->subtrees = r->subtree_next = 0;
     SVO_TRY(fmti_group_parse(c, &r->group, r->voxel_bytes, r->subtree, &r->subtrees, err));
@@ -344,37 +345,40 @@ static void from_planes(const uint8_t *planes, uint64_t count, uint32_t stride, 
     }
 }
 
-/* Does a normal hold -32768? planes: low and high bytes of u, then of v. */
-static bool bad_normals(const uint8_t *planes, uint64_t count)
+static bool bad_normals(const uint8_t *values, uint64_t count)
 {
-    uint8_t bad = 0;
-    const uint8_t *ul = planes, *uh = planes + count, *vl = planes + 2 * count, *vh = planes + 3 * count;
-    for (uint64_t i = 0; i < count; i++)
-        bad |= (uint8_t)((ul[i] == 0 && uh[i] == 0x80) || (vl[i] == 0 && vh[i] == 0x80));
-    return bad != 0;
+    bool bad = false;
+    for (uint64_t i = 0; i < 2 * count; i++) bad |= values[2 * i] == 0 && values[2 * i + 1] == 0x80;
+    return bad;
 }
 
-/* Point *out into the decoded payload; channel values go to storage behind it. */
-static svo_result unpack(const svo_tree_info *info, const fmt_chunk *c, svo_buffer *storage, svo_chunk *out, svo_error *err)
+/* Where values go: behind the masks, or behind the payload as a zstd frame holds it. */
+static uint64_t values_begin(const fmt_svo_reader *r, const fmt_chunk *c)
 {
+    uint64_t size = c->decoded_size;
+    if (c->codec == FMT_CODEC_PACKED) size -= c->element_count * r->voxel_bytes;
+    return (size + 63) / 64 * 64;
+}
+
+/* Masks are behind the counts at the front of the storage, values are in their places or, after zstd, still in planes. */
+static svo_result unpack(const fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *storage, uint8_t *const places[SVO_MAX_CHANNELS], svo_chunk *out, svo_error *err)
+{
+    const svo_tree_info *info = &r->info;
     uint64_t at = c->offset - 64, masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8), values = 16 + masks;
     svo_chunk n = {.code = c->id, .level = svo_chunk_level(info->depth), .depth = info->depth, .node_count = masks, .value_count = voxels};
-    uint64_t to = (c->decoded_size + 63) / 64 * 64;
     n.masks = storage->data + 16;
     for (uint32_t i = 0; i < info->channel_count; i++) {
         const svo_channel *channel = &info->channels[i];
         if (channel->constant) continue;
         uint32_t stride = svo_channel_stride(channel->kind);
         const uint8_t *planes = storage->data + values;
-        if (channel->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(planes, voxels))
-            return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)c->id);
-        if (stride == 1) { /* one plane is the values */
-            n.channels[i] = planes;
-        } else {
-            from_planes(planes, voxels, stride, storage->data + to);
-            n.channels[i] = storage->data + to;
-            to += (stride * voxels + 7) / 8 * 8;
+        n.channels[i] = places[i];
+        if (c->codec != FMT_CODEC_PACKED) {
+            if (stride == 1) n.channels[i] = planes; /* one plane is the values */
+            else from_planes(planes, voxels, stride, places[i]);
         }
+        if (channel->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(n.channels[i], voxels))
+            return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)c->id);
         values += stride * voxels;
     }
     *out = n;
@@ -401,15 +405,6 @@ static svo_result unpack_record(const svo_tree_info *info, const fmt_chunk *c, c
     return SVO_OK;
 }
 
-/* Room behind the payload for the channels of stride > 1. */
-static uint64_t unpacked_size(const svo_tree_info *info, const fmt_chunk *c)
-{
-    uint64_t size = (c->decoded_size + 63) / 64 * 64;
-    for (uint32_t i = 0; i < info->channel_count; i++)
-        if (!info->channels[i].constant) size += (svo_channel_stride(info->channels[i].kind) * c->element_count + 7) / 8 * 8;
-    return size;
-}
-
 size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk)
 {
     SVO_ASSERT(packed->size >= sizeof *chunk);
@@ -418,40 +413,54 @@ size_t fmti_svo_packed(const svo_buffer *packed, fmt_chunk *chunk)
     return stored;
 }
 
-/* The two streams of a subtree of a GRUP chunk to the payload of a TREE chunk. */
-static svo_result decode_apart(fmt_svo_reader *r, const fmt_chunk *c, const uint8_t *bytes, svo_buffer *storage, svo_error *err)
+/* What is not one zstd frame, a subtree of a GRUP chunk or a TREE chunk with packed values, to masks behind their counts and values. */
+static svo_result decode_apart(fmt_svo_reader *r, const fmt_chunk *c, const uint8_t *bytes, uint64_t stored, svo_buffer *storage,
+                               uint8_t *const places[SVO_MAX_CHANNELS], svo_error *err)
 {
-    uint64_t values = c->element_count * r->voxel_bytes, masks = c->decoded_size - 16 - values;
-    if ((masks == 0) != (r->info.depth == 0) || (masks == 0 && c->element_stride != 0))
+    const uint64_t values = c->element_count * r->voxel_bytes, masks = c->decoded_size - 16 - values;
+    uint64_t coded = c->element_stride;
+    if (c->type == FMTI_SVO_TREE) {
+        if (stored < 4 || fmt_load32(bytes) > stored - 4) return svo_fail(err, SVO_INVALID_DATA, "it ends inside the masks (SVO-13)");
+        coded = fmt_load32(bytes);
+        bytes += 4, stored -= 4;
+    }
+    if ((masks == 0) != (r->info.depth == 0) || (masks == 0 && coded != 0))
         return svo_fail(err, SVO_INVALID_DATA, "%llu masks at depth %u (SVO-07)", (unsigned long long)masks, r->info.depth);
     fmt_store64(storage->data, masks);
     fmt_store64(storage->data + 8, c->element_count);
-    if (masks != 0)
-        SVO_TRY(fmti_masks_decode(r->masks, r->info.depth - svo_chunk_level(r->info.depth), bytes, c->element_stride, storage->data + 16, masks, err));
-    if (values != 0)
-        SVO_TRY(fmt_zstd_decode_to(r->pool, bytes + c->element_stride, (size_t)(c->stored_size - c->element_stride), storage->data + 16 + masks, values, err));
-    storage->size = (size_t)c->decoded_size;
-    return SVO_OK;
+    if (masks != 0 && c->type == FMTI_SVO_TREE) SVO_TRY(fmt_zstd_decode_to(r->pool, bytes, (size_t)coded, storage->data + 16, masks, err));
+    else if (masks != 0) SVO_TRY(fmti_masks_decode(r->masks, r->info.depth - svo_chunk_level(r->info.depth), bytes, coded, storage->data + 16, masks, err));
+    if (c->codec == FMT_CODEC_PACKED) return fmti_svo_unpack(&r->info, bytes + coded, stored - coded, c->element_count, r->allocator, places, err);
+    return values == 0 ? SVO_OK : fmt_zstd_decode_to(r->pool, bytes + coded, (size_t)(stored - coded), storage->data + 16 + masks, values, err);
 }
 
 static svo_result decode_tree(fmt_svo_reader *r, const fmt_chunk *chunk, const svo_buffer *packed, size_t stored, svo_buffer *storage, svo_chunk *out,
                               svo_error *err)
 {
     const fmt_chunk c = *chunk;
-    uint64_t at = c.offset - 64, size = unpacked_size(&r->info, &c);
+    uint64_t at = c.offset - 64, size = values_begin(r, &c), place[SVO_MAX_CHANNELS] = {0};
+    uint8_t *places[SVO_MAX_CHANNELS];
+    for (uint32_t i = 0; i < r->info.channel_count; i++) {
+        place[i] = size;
+        if (!r->info.channels[i].constant) size += (svo_channel_stride(r->info.channels[i].kind) * c.element_count + 7) / 8 * 8;
+    }
+    /* A bit of 64 values' flags is stored at least. */
+    if (c.codec == FMT_CODEC_PACKED && c.element_count / 64 > stored) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "too short for its values (SVO-13)");
     storage->size = 0;
     if (!svo_buffer_reserve(storage, (size_t)size + 1))
         return fmt_chunk_fail(err, SVO_OUT_OF_MEMORY, c.type, at, "no memory for %llu decoded bytes", (unsigned long long)size);
+    for (uint32_t i = 0; i < r->info.channel_count; i++) places[i] = storage->data + place[i];
     svo_error inner = {0};
-    svo_result result = c.type == FMTI_SVO_GRUP ? decode_apart(r, &c, packed->data, storage, &inner)
-                                                : fmt_zstd_decode(r->pool, packed->data, stored, c.decoded_size, storage, &inner);
+    const bool apart = c.type == FMTI_SVO_GRUP || c.codec == FMT_CODEC_PACKED;
+    svo_result result = apart ? decode_apart(r, &c, packed->data, stored, storage, places, &inner)
+                              : fmt_zstd_decode(r->pool, packed->data, stored, c.decoded_size, storage, &inner);
     if (result != SVO_OK) return fmt_chunk_fail(err, result, c.type, at, "%s", inner.message);
     uint64_t masks = fmt_load64(storage->data), voxels = fmt_load64(storage->data + 8);
     if (voxels != c.element_count || masks != c.decoded_size - 16 - voxels * r->voxel_bytes)
         return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "%llu masks and %llu values do not make %llu bytes (SVO-06)", (unsigned long long)masks,
                               (unsigned long long)voxels, (unsigned long long)c.decoded_size);
     if (masks == 0 && r->info.depth != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "no masks: a full leaf belongs into FULL (SVO-07)");
-    return unpack(&r->info, &c, storage, out, err);
+    return unpack(r, &c, storage, places, out, err);
 }
 
 static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)

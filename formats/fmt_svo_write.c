@@ -11,7 +11,8 @@ struct fmt_svo_writer {
     const svo_allocator *allocator;
     svo_tree_info info;
     char *provenance;
-    int level;
+    int level;      /* of zstd */
+    bool packs;     /* values that are not constant */
     uint32_t voxel_bytes;
     svo_tree_counts counts;
     fmti_items items;
@@ -38,6 +39,7 @@ svo_result fmt_svo_writer_begin(fmt_output *out, const svo_tree_info *info, cons
     w->info = *info;
     w->level = level != 0 ? level : 3;
     w->voxel_bytes = fmti_voxel_bytes(info);
+    w->packs = level == 0 && w->voxel_bytes != 0;
     fmti_items_init(&w->items, info, a);
     svo_result r = SVO_OK;
     if (provenance != NULL && provenance[0] != 0) r = fmti_svo_set_provenance(w, provenance, err);
@@ -118,17 +120,60 @@ static svo_result fill_record(fmt_svo_writer *w, const svo_chunk *chunk, blob *b
     return ok ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a full leaf");
 }
 
-/* Masks through the context model, values through zstd. */
-static svo_result code_apart(fmt_svo_writer *w, const uint8_t *plain, uint64_t size, uint64_t masks, svo_buffer *to, uint64_t *coded, svo_error *err)
+/* Masks, counts and planes of values, as a zstd frame holds them. */
+static void lay_out(const svo_tree_info *info, const svo_chunk *chunk, uint8_t *at)
 {
-    uint64_t values = 16 + masks;
+    fmt_store64(at, chunk->node_count);
+    fmt_store64(at + 8, chunk->value_count);
+    at += 16;
+    if (chunk->node_count != 0) memcpy(at, chunk->masks, (size_t)chunk->node_count);
+    at += chunk->node_count;
+    for (uint32_t i = 0; i < info->channel_count; i++) {
+        if (info->channels[i].constant) continue;
+        const uint32_t stride = svo_channel_stride(info->channels[i].kind);
+        to_planes(chunk->channels[i], chunk->value_count, stride, at);
+        at += stride * chunk->value_count;
+    }
+}
+
+/* Everything, or the values alone, as one zstd frame. */
+static svo_result zip(fmt_svo_writer *w, const svo_chunk *chunk, bool masks, svo_buffer *to, svo_error *err)
+{
+    const uint64_t size = 16 + chunk->node_count + chunk->value_count * w->voxel_bytes, skipped = masks ? 0 : 16 + chunk->node_count;
+    uint8_t *plain = svo_alloc(w->allocator, size, 1);
+    if (plain == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to lay out a chunk of %llu bytes", (unsigned long long)size);
+    lay_out(&w->info, chunk, plain);
+    svo_result r = fmt_zstd_encode(w->pool, plain + skipped, (size_t)(size - skipped), w->level, to, err);
+    svo_free(w->allocator, plain, size, 1);
+    return r;
+}
+
+/* The size of the masks' zstd frame, that frame, packed values. */
+static svo_result pack_tree(fmt_svo_writer *w, const svo_chunk *chunk, svo_buffer *to, svo_error *err)
+{
+    svo_buffer zipped;
+    uint8_t size[4];
+    svo_buffer_init(&zipped, w->allocator);
+    svo_result r = chunk->node_count != 0 ? fmt_zstd_encode(w->pool, chunk->masks, (size_t)chunk->node_count, w->level, &zipped, err) : SVO_OK;
+    fmt_store32(size, (uint32_t)zipped.size);
+    if (r == SVO_OK && (svo_buffer_append(to, size, sizeof size) == NULL || (zipped.size != 0 && svo_buffer_append(to, zipped.data, zipped.size) == NULL)))
+        r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    svo_buffer_free(&zipped);
+    return r == SVO_OK ? fmti_svo_pack(&w->info, chunk, w->allocator, to, err) : r;
+}
+
+/* Masks through the context model, values apart. */
+static svo_result code_apart(fmt_svo_writer *w, const svo_chunk *chunk, svo_buffer *to, uint64_t *coded, svo_error *err)
+{
+    if (chunk->node_count != 0)
+        SVO_TRY(fmti_masks_encode(w->masks, w->info.depth - svo_chunk_level(w->info.depth), chunk->masks, chunk->node_count, to, err));
+    *coded = to->size;
+    if (w->packs) return fmti_svo_pack(&w->info, chunk, w->allocator, to, err);
+    if (w->voxel_bytes == 0) return SVO_OK;
     svo_buffer zipped;
     svo_buffer_init(&zipped, w->allocator);
-    svo_result r = SVO_OK;
-    if (masks != 0) r = fmti_masks_encode(w->masks, w->info.depth - svo_chunk_level(w->info.depth), plain + 16, masks, to, err);
-    *coded = to->size;
-    if (r == SVO_OK && size != values) r = fmt_zstd_encode(w->pool, plain + values, (size_t)(size - values), w->level, &zipped, err);
-    if (r == SVO_OK && zipped.size != 0 && svo_buffer_append(to, zipped.data, zipped.size) == NULL) r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
+    svo_result r = zip(w, chunk, false, &zipped, err);
+    if (r == SVO_OK && svo_buffer_append(to, zipped.data, zipped.size) == NULL) r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a chunk");
     svo_buffer_free(&zipped);
     return r;
 }
@@ -141,32 +186,17 @@ static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, 
     b->first = svo_chunk_first(chunk);
     b->end = svo_chunk_end(chunk);
     if (svo_chunk_full(chunk)) return fill_record(w, chunk, b, err);
-    uint64_t size = 16 + chunk->node_count + chunk->value_count * w->voxel_bytes;
-    uint8_t *plain = svo_alloc(w->allocator, size, 1);
-    if (plain == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to lay out a chunk of %llu bytes", (unsigned long long)size);
-    fmt_store64(plain, chunk->node_count);
-    fmt_store64(plain + 8, chunk->value_count);
-    uint8_t *at = plain + 16;
-    if (chunk->node_count != 0) memcpy(at, chunk->masks, (size_t)chunk->node_count);
-    at += chunk->node_count;
-    svo_result r = SVO_OK;
-    for (uint32_t i = 0; i < info->channel_count && r == SVO_OK; i++) {
-        const svo_channel *c = &info->channels[i];
-        if (c->constant) continue;
-        uint32_t stride = svo_channel_stride(c->kind);
-        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->value_count))
-            r = bad_normal(chunk, err);
-        to_planes(chunk->channels[i], chunk->value_count, stride, at);
-        at += stride * chunk->value_count;
-    }
+    for (uint32_t i = 0; i < info->channel_count; i++)
+        if (!info->channels[i].constant && info->channels[i].kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->value_count))
+            return bad_normal(chunk, err);
     uint64_t coded = 0;
-    if (r == SVO_OK && w->masks != NULL) r = code_apart(w, plain, size, chunk->node_count, &b->stored, &coded, err);
-    else if (r == SVO_OK) r = fmt_zstd_encode(w->pool, plain, (size_t)size, w->level, &b->stored, err);
-    svo_free(w->allocator, plain, size, 1);
-    if (r != SVO_OK) return r;
-    b->chunk = (fmt_chunk){.type = w->masks != NULL ? FMTI_SVO_GRUP : FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL,
-                           .codec = w->masks != NULL ? FMT_CODEC_NONE : FMT_CODEC_ZSTD, .stored_size = b->stored.size, .element_stride = (uint32_t)coded,
-                           .decoded_size = size, .element_count = chunk->value_count, .id = chunk->code};
+    const bool small = w->masks != NULL;
+    if (small) SVO_TRY(code_apart(w, chunk, &b->stored, &coded, err));
+    else SVO_TRY(w->packs ? pack_tree(w, chunk, &b->stored, err) : zip(w, chunk, true, &b->stored, err));
+    b->chunk = (fmt_chunk){.type = small ? FMTI_SVO_GRUP : FMTI_SVO_TREE, .flags = FMT_CHUNK_CRITICAL,
+                           .codec = w->packs ? FMT_CODEC_PACKED : small ? FMT_CODEC_NONE : FMT_CODEC_ZSTD, .stored_size = b->stored.size,
+                           .element_stride = (uint32_t)coded, .decoded_size = 16 + chunk->node_count + chunk->value_count * w->voxel_bytes,
+                           .element_count = chunk->value_count, .id = chunk->code};
     return SVO_OK;
 }
 

@@ -54,11 +54,12 @@ svo_result fmti_full_flush(fmti_full *f, fmt_writer *w, svo_error *err);
 
 /* Subtrees with coded masks wait here, so that up to 64 of them share a GRUP chunk, whoever brought them. On its way one of them is described
  * by a fmt_chunk of type GRUP: id its code, element_count its values, decoded_size as of a TREE chunk, element_stride the bytes of its coded
- * masks, behind which stand its compressed values up to stored_size. */
+ * masks, behind which stand its compressed values up to stored_size; codec: PACKED values, or NONE. */
 enum { FMTI_GROUP_MOST = 64 };
 typedef struct fmti_group {
     svo_buffer records, streams;
     uint32_t count, voxel_bytes;
+    uint16_t codec;
     uint64_t first, values;
 } fmti_group;
 
@@ -82,5 +83,11 @@ void fmti_count_full(svo_tree_counts *counts, uint32_t level, uint32_t end);
 
 /* Bytes of all channels that are not constant, one voxel. */
 uint32_t fmti_voxel_bytes(const svo_tree_info *info);
+
+/* The values of all channels that are not constant, one after the other. */
+svo_result fmti_svo_pack(const svo_tree_info *info, const svo_chunk *chunk, const svo_allocator *a, svo_buffer *to, svo_error *err);
+/* Back: `bytes` is filled by them. to[i]: room for channel i. */
+svo_result fmti_svo_unpack(const svo_tree_info *info, const uint8_t *bytes, uint64_t size, uint64_t count, const svo_allocator *a, uint8_t *const to[SVO_MAX_CHANNELS],
+                           svo_error *err);
 
 #endif

@@ -121,13 +121,13 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.level = 3};
+    tool_options o = {0};
     cli_option options[] = {
         {.name = "list", .kind = CLI_TEXT, .value = &o.list, .argument = "FILE", .no_default = true,
          .help = "Names of more shards, one a line; - is stdin. For more of them than a command line holds."},
         {.name = "disk", .kind = CLI_CHOICE, .value = &o.disk, .choices = disks, .argument = "FORM", .seen = &o.has_disk, .no_default = true,
          .help = "Write the one octree (or shard) that is given again, fast to read or small."},
-        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level with --disk (zstd)."},
+        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .max = 19, .help = "With --disk: 0 packs values, 1 to 19 compresses everything with zstd."},
     };
     cli_tool tool = {
         .name = "svo-merge",

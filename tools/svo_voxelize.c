@@ -28,7 +28,7 @@ typedef struct tool_options {
     bool has_depth, has_size;
     int fill, surface, disk;
     const char *attributes;
-    uint64_t level; /* zstd's */
+    uint64_t level; /* 0: packed values; else zstd's */
     uint32_t channels;
     const char *shard, *depfile;
     int beside;
@@ -380,7 +380,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.depth = 10, .attributes = "auto", .level = 3, .reference = 2048};
+    tool_options o = {.depth = 10, .attributes = "auto", .reference = 2048};
     cli_option options[] = {
         {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth, .no_default = true,
          .help = "The longest side of the bounding box becomes 2^D voxels."},
@@ -391,7 +391,7 @@ int main(int argc, char **argv)
          .help = "conservative: every voxel that the surface touches; thin: those whose centre lines it crosses."},
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
          .help = "auto: normals, and what the materials say; none; or a list of color,normal,emissive,metallic,roughness,material,coverage."},
-        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .min = 1, .max = 19, .help = "Compression level of the file (zstd)."},
+        {.name = "level", .kind = CLI_U64, .value = &o.level, .argument = "L", .max = 19, .help = "0: values packed, fast; 1 to 19: everything through zstd at that level."},
         {.name = "reference", .kind = CLI_U64, .value = &o.reference, .argument = "N", .max = 1000000,
          .help = "With --report: voxels whose attributes are compared with 4096 samples each of the surface inside them."},
         {.name = "disk", .kind = CLI_CHOICE, .value = &o.disk, .choices = disks, .argument = "FORM",

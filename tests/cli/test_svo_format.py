@@ -70,13 +70,84 @@ def container(b):
         end = at + 64 + stored
         at = (end + 63) // 64 * 64
         check(not any(b[end:at]), "padding")
-        chunks.append((kind.decode(), flags, elements, stride, number, unzstd(payload, decoded) if codec == 1 else payload))
+        check(codec <= 2 and (codec != 2 or kind in (b"TREE", b"GRUP")), "codec")
+        chunks.append((kind.decode(), flags, elements, stride, number, unzstd(payload, decoded) if codec == 1 else payload, codec, decoded))
     check(at == table_at and len(chunks) == count and payload == headers and at + 64 + stored + 64 == len(b), "table")
     check(footer[24:40] == xxh3_128(hashes), "content hash")
     return chunks
 
 
 SIZES = {1: 3, 2: 4, 3: 1, 4: 2, 5: 4}
+
+
+def packed_values(p, at, kind, n):
+    """The n values of a channel whose packed form begins at p[at], as byte planes; and where it ends."""
+    def zeros(condition):
+        check(condition, "what has to be 0")
+
+    mode, present, at = p[at], p[at + 1:at + 1 + (n + 63) // 64], at + 1 + (n + 63) // 64
+    check(mode <= 1, "mode")
+    flags = []
+    for k in range((n + 7) // 8):
+        if present[k // 8] >> k % 8 & 1:
+            flags.append(p[at])
+            zeros(p[at] != 0)
+            at += 1
+        else:
+            flags.append(0)
+    zeros(all(present[k // 8] >> k % 8 & 1 == 0 for k in range(len(flags), 8 * len(present))))
+    changes = [bool(flags[i // 8] >> i % 8 & 1) for i in range(n)]
+    zeros(sum(bin(f).count("1") for f in flags) == sum(changes))
+    codes = [15] * sum(changes)
+    if mode == 1:
+        halves = [h for b in p[at:at + (len(codes) + 1) // 2] for h in (b & 15, b >> 4)]
+        at += (len(codes) + 1) // 2
+        zeros(not any(halves[len(codes):]))
+        codes = halves[:len(codes)]
+    count = codes.count(15)
+    groups, bits = (count + 7) // 8, 8 if kind in (1, 3) else 16
+    components = []
+    for _ in range({1: 3, 2: 2, 3: 1, 4: 1, 5: 2}[kind]):
+        widths = [h for b in p[at:at + (groups + 1) // 2] for h in (b & 15, b >> 4)]
+        at += (groups + 1) // 2
+        zeros(not any(widths[groups:]))
+        numbers = []
+        for w in widths[:groups]:
+            w = 16 if w == 15 else w
+            check(w <= bits, "width")
+            group = int.from_bytes(p[at:at + w], "little")
+            numbers += [group >> w * i & (1 << w) - 1 for i in range(8)]
+            at += w
+        zeros(not any(numbers[count:]))
+        components.append([x // 2 if x % 2 == 0 else -(x + 1) // 2 for x in numbers[:count]])
+    recent, head, v, values = [0] * 15, 0, 0, []
+    code, difference = iter(codes), zip(*components)
+    for changed in changes:
+        if changed:
+            c = next(code)
+            if c < 15:
+                v = recent[c]
+            else:
+                d = next(difference)
+                if kind == 1:
+                    r, g, b = v & 255, v >> 8 & 255, v >> 16
+                    v = (r + d[0] + d[1]) % 256 | (g + d[0]) % 256 << 8 | (b + d[0] + d[2]) % 256 << 16
+                else:
+                    v = sum((((v >> bits * i) + e) % (1 << bits)) << bits * i for i, e in enumerate(d))
+                recent[head] = v
+                head = (head + 1) % 15
+        values.append(v)
+    return b"".join(bytes(x >> 8 * plane & 255 for x in values) for plane in range(SIZES[kind])), at
+
+
+def unpacked(p, at, records, n):
+    """The planes of all channels that are not constant; and where they end."""
+    planes = b""
+    for _, kind, constant, _ in records:
+        if not constant:
+            more, at = packed_values(p, at, kind, n)
+            planes += more
+    return planes, at
 
 
 def head(p):
@@ -159,11 +230,17 @@ def varint(p, at):
 
 
 def ungroup(chunks):
-    """GRUP chunks as the TREE chunks that they stand for."""
+    """GRUP chunks as the TREE chunks that they stand for, and packed values as planes."""
     global PRIOR
     depth, level, _, records = head(chunks[0][5])
     size = sum(SIZES[r[1]] for r in records if not r[2])
-    for kind, flags, elements, stride, code, p in chunks:
+    for kind, flags, elements, stride, code, p, codec, decoded in chunks:
+        check(codec != 2 or size != 0, "codec without channels")
+        if kind == "TREE" and codec == 2:
+            zipped, m = struct.unpack_from("<I", p)[0], decoded - 16 - elements * size
+            planes, at = unpacked(p, 4 + zipped, records, elements)
+            check(at == len(p) and (zipped != 0) == (m != 0), "packed TREE")
+            p = struct.pack("<QQ", m, elements) + (unzstd(p[4:4 + zipped], m) if m else b"") + planes
         if kind != "GRUP":
             yield kind, flags, elements, stride, code, p
             continue
@@ -184,7 +261,11 @@ def ungroup(chunks):
         for low, m, n, coded, zipped in subtrees:
             masks = masks_reader.decode(PRIOR, depth - level, p[at:at + coded], m) if m else b""
             at += coded
-            values = unzstd(p[at:at + zipped], n * size) if size else b""
+            if codec == 2:
+                values, end = unpacked(p, at, records, n)
+                check(end == at + zipped, "packed values")
+            else:
+                values = unzstd(p[at:at + zipped], n * size) if size else b""
             at += zipped
             yield "TREE", 1, n, 0, code >> 6 << 6 | low, struct.pack("<QQ", m, n) + masks + values
         check(at == len(p), "bytes left over")
@@ -273,9 +354,10 @@ def test_small_octrees(folder):
     support.cube_obj(folder / "c.obj", color=(0.2, 0.5, 1))
     support.quad_obj(folder / "q.obj")
     for mesh, depth in (("s", 0), ("s", 1), ("s", 2), ("c", 5), ("s", 6), ("q", 8)):
-        out = folder / ("%s%d.svo" % (mesh, depth))
-        run("svo-voxelize", folder / (mesh + ".obj"), "-o", out, "--depth", depth)
-        compare(folder, out)
+        for level in (0, 1):
+            out = folder / ("%s%d-%d.svo" % (mesh, depth, level))
+            run("svo-voxelize", folder / (mesh + ".obj"), "-o", out, "--depth", depth, "--level", level)
+            compare(folder, out)
 
 
 def test_small_form(folder):
@@ -284,7 +366,7 @@ def test_small_form(folder):
     support.sphere_obj(folder / "s.obj", rings=12)
     support.cube_obj(folder / "c.obj", color=(0.2, 0.5, 1))
     support.quad_obj(folder / "q.obj")
-    for mesh, depth, more in (("s", 0, ()), ("s", 1, ()), ("c", 5, ()), ("s", 6, ("--attributes", "none")), ("q", 8, ())):
+    for mesh, depth, more in (("s", 0, ()), ("s", 1, ()), ("c", 5, ()), ("s", 6, ("--attributes", "none")), ("s", 5, ("--level", 1)), ("q", 8, ())):
         out = folder / ("%s%d.svo" % (mesh, depth))
         run("svo-voxelize", folder / (mesh + ".obj"), "-o", out, "--depth", depth, "--disk", "small", *more)
         compare(folder, out)

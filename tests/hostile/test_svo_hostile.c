@@ -71,15 +71,14 @@ static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, cons
     return result;
 }
 
-static void run_form(uint32_t depth, uint32_t style, uint32_t rounds, bool small)
+static void run_form(uint32_t depth, uint32_t style, uint32_t rounds, bool small, int level)
 {
     uint64_t seed = 100 + depth;
     tree t;
     tree_random(&t, depth, style, &seed);
     svo_buffer file;
     svo_buffer_init(&file, NULL);
-    if (small) tree_write_small(&t, 1, &file, NULL);
-    else tree_write(&t, 1, &file, NULL);
+    tree_write_as(&t, small, level, 1, &file, NULL);
     tree_free(&t);
     if (test_failed()) return;
     hostile_case c = {.read = read_svo, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = seed};
@@ -87,12 +86,16 @@ static void run_form(uint32_t depth, uint32_t style, uint32_t rounds, bool small
     svo_buffer_free(&file);
 }
 
-static void run(uint32_t depth, uint32_t style, uint32_t rounds) { run_form(depth, style, rounds, false); }
+static void run(uint32_t depth, uint32_t style, uint32_t rounds) { run_form(depth, style, rounds, false, 3); }
 
-TEST(damaged_small_single_voxel) { run_form(0, 2, 500, true); }
-TEST(damaged_small_without_channels) { run_form(6, 0, 500, true); }
-TEST(damaged_small_corners_of_a_deep_tree) { run_form(21, 2, 300, true); }
-TEST(damaged_small_clusters_with_all_channels) { run_form(9, 1, 200, true); }
+TEST(damaged_small_single_voxel) { run_form(0, 2, 500, true, 0); }
+TEST(damaged_small_without_channels) { run_form(6, 0, 500, true, 0); }
+TEST(damaged_small_corners_of_a_deep_tree) { run_form(21, 2, 300, true, 0); }
+TEST(damaged_small_clusters_with_all_channels) { run_form(9, 1, 200, true, 0); }
+TEST(damaged_small_through_zstd) { run_form(9, 1, 100, true, 3); }
+TEST(damaged_packed_single_voxel) { run_form(0, 2, 500, false, 0); }
+TEST(damaged_packed_corners_of_a_deep_tree) { run_form(21, 2, 300, false, 0); }
+TEST(damaged_packed_clusters_with_all_channels) { run_form(9, 1, 1000, false, 0); }
 
 TEST(damaged_single_voxel) { run(0, 2, 0); }
 TEST(damaged_without_channels) { run(6, 0, 0); }

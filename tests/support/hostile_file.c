@@ -140,7 +140,7 @@ void hostile_build(const hostile_file *f, svo_buffer *out)
         }
         if (c.stored_size == UINT64_MAX) {
             c.stored_size = p->size;
-            c.decoded_size = f->chunks[i].payload.size;
+            if (c.codec != FMT_CODEC_PACKED || c.type != FMT_FOURCC('T', 'R', 'E', 'E')) c.decoded_size = f->chunks[i].payload.size;
             if (c.element_stride != 0 && c.decoded_size % c.element_stride == 0) c.element_count = c.decoded_size / c.element_stride;
         }
         at[i] = out->size;

@@ -228,19 +228,19 @@ void tree_check(const tree *t, const svo_tree_info *info, svo_chunk_source sourc
     svo_buffer_free(&storage);
 }
 
-static void write_form(const tree *t, bool small, uint32_t threads, svo_buffer *file, svo_tree_counts *counts)
+void tree_write_as(const tree *t, bool small, int level, uint32_t threads, svo_buffer *file, svo_tree_counts *counts)
 {
     svo_error err = {0};
     fmt_output *out;
     fmt_svo_writer *w;
     CHECK_OK(fmt_output_open_memory(file, &out, &err));
-    CHECK_OK(fmt_svo_writer_begin(out, &t->info, "{\"tool\":\"test\"}", 0, NULL, &w, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &t->info, "{\"tool\":\"test\"}", level, NULL, &w, &err));
     if (small) CHECK_OK(fmt_svo_writer_small(w, &err));
     CHECK_OK(tree_feed(t, threads, fmt_svo_writer_sink(w), &err));
     CHECK_OK(fmt_svo_writer_end(w, counts, &err));
     CHECK_OK(fmt_output_commit(out, &err));
 }
 
-void tree_write(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts) { write_form(t, false, threads, file, counts); }
+void tree_write(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts) { tree_write_as(t, false, 3, threads, file, counts); }
 
-void tree_write_small(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts) { write_form(t, true, threads, file, counts); }
+void tree_write_small(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts) { tree_write_as(t, true, 0, threads, file, counts); }

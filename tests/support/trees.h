@@ -31,7 +31,9 @@ uint64_t tree_chunk(const tree *t, uint64_t first, svo_buffer *masks, svo_chunk 
 /* Fails the running test when the source does not give exactly this tree. */
 void tree_check(const tree *t, const svo_tree_info *info, svo_chunk_source source);
 
-/* The tree as a .svo file in memory, with provenance {"tool":"test"}; in the fast and in the small form. */
+/* The tree as a .svo file in memory, with provenance {"tool":"test"}; in the small form with packed values, in the fast form through zstd, or as
+ * fmt_svo_writer_begin and fmt_svo_writer_small say. */
+void tree_write_as(const tree *t, bool small, int level, uint32_t threads, svo_buffer *file, svo_tree_counts *counts);
 void tree_write_small(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts);
 void tree_write(const tree *t, uint32_t threads, svo_buffer *file, svo_tree_counts *counts);
 

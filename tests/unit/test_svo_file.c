@@ -13,12 +13,12 @@
 static svo_error err;
 
 /* One tree through a file in memory, chunk for chunk. */
-static void round_trip(const tree *t, uint32_t threads)
+static void round_trip_as(const tree *t, bool small, int level, uint32_t threads)
 {
     svo_buffer file;
     svo_buffer_init(&file, NULL);
     svo_tree_counts written = {0};
-    tree_write(t, threads, &file, &written);
+    tree_write_as(t, small, level, threads, &file, &written);
     if (test_failed()) return;
     fmt_input *in;
     fmt_svo_reader *r;
@@ -33,6 +33,12 @@ static void round_trip(const tree *t, uint32_t threads)
     fmt_svo_reader_close(r);
     fmt_input_close(in);
     svo_buffer_free(&file);
+}
+
+/* In every way of coding values. */
+static void round_trip(const tree *t, uint32_t threads)
+{
+    for (int way = 0; way < 4 && !test_failed(); way++) round_trip_as(t, way & 1, way < 2 ? 0 : 3, threads);
 }
 
 TEST(random_trees_come_back)
@@ -64,7 +70,7 @@ TEST(the_example_of_the_specification)
     fmt_svo_writer *w;
     void *blob;
     CHECK_OK(fmt_output_open_memory(&file, &out, &err));
-    CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 3, NULL, &w, &err));
     svo_chunk_sink s = fmt_svo_writer_sink(w);
     CHECK_OK(s.encode(s.user, &chunk, 0, &blob, &err));
     CHECK_OK(s.commit(s.user, blob, &err));
@@ -253,7 +259,7 @@ TEST(a_pipe_gets_the_same_bytes_as_a_file)
     fmt_output *out;
     fmt_svo_writer *w;
     CHECK_OK(fmt_output_open(path, false, &out, &err));
-    CHECK_OK(fmt_svo_writer_begin(out, &t.info, "{\"tool\":\"test\"}", 0, NULL, &w, &err));
+    CHECK_OK(fmt_svo_writer_begin(out, &t.info, "{\"tool\":\"test\"}", 3, NULL, &w, &err));
     CHECK_OK(tree_feed(&t, 3, fmt_svo_writer_sink(w), &err));
     CHECK_OK(fmt_svo_writer_end(w, NULL, &err));
     CHECK_OK(fmt_output_commit(out, &err));

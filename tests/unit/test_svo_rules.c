@@ -222,7 +222,7 @@ static void begin_full(void)
         fmt_output *out;
         fmt_svo_writer *w;
         CHECK_OK(fmt_output_open_memory(&full, &out, &err));
-        CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 0, NULL, &w, &err));
+        CHECK_OK(fmt_svo_writer_begin(out, &info, NULL, 3, NULL, &w, &err));
         svo_chunk_sink s = fmt_svo_writer_sink(w);
         for (size_t i = 0; i < sizeof items / sizeof items[0]; i++) {
             svo_chunk c = {.code = items[i].code, .level = items[i].level, .depth = 9, .value_count = 1, .channels = {values}};

@@ -1,0 +1,443 @@
+/* Packed values: flags of change, codes of recent values, differences in groups of eight. */
+#include <string.h>
+
+#include "fmti_svo.h"
+#include "fmti_svo_values.h"
+
+/* Values are worked on as 32-bit numbers, little-endian, 0 above their bytes. */
+enum {
+    GROUP = 8,    /* differences that share a width */
+    RECENT = 15,  /* values that a code can name; the code RECENT means another one */
+    HASHES = 256, /* of the encoder's table that finds recent values */
+    SLACK = 16    /* groups are stored and loaded 16 bytes at a time */
+};
+
+/* How values of a kind are cut into components, whose differences are packed apart. */
+typedef struct shape {
+    uint32_t stride, components, bits; /* bytes of a value; bits of a component */
+} shape;
+
+static shape shape_of(svo_channel_kind kind)
+{
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: return (shape){3, 3, 8}; /* green, red - green, blue - green */
+    case SVO_KIND_UNORM8: return (shape){1, 1, 8};
+    case SVO_KIND_ID16: return (shape){2, 1, 16};
+    case SVO_KIND_NORMAL_OCT32:
+    case SVO_KIND_ID32: break;
+    }
+    return (shape){4, 2, 16};
+}
+
+/* With a constant stride; three bytes by way of memory would make the processor wait for its own stores. */
+static inline uint32_t load_value(const uint8_t *p, const uint32_t stride)
+{
+    uint32_t v;
+    if (stride == 4) return memcpy(&v, p, 4), v;
+    v = p[0];
+    if (stride > 1) v |= (uint32_t)p[1] << 8;
+    if (stride > 2) v |= (uint32_t)p[2] << 16;
+    return v;
+}
+static inline void store_value(uint8_t *p, uint32_t v, const uint32_t stride)
+{
+    const uint16_t low = (uint16_t)v;
+    if (stride == 4) memcpy(p, &v, 4);
+    else if (stride == 1) p[0] = (uint8_t)v;
+    else memcpy(p, &low, 2);
+    if (stride == 3) p[2] = (uint8_t)(v >> 16);
+}
+
+static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the values of a chunk"); }
+
+/* --- encoder ---------------------------------------------------------------------------------------------------- */
+
+/* Values that differ from the one before them, behind a 0 at changes[0]; a bit for each of all values. Returns how many. */
+static inline uint64_t find_changes(const uint8_t *values, uint64_t count, const uint32_t stride, uint64_t *flags, uint32_t *changes)
+{
+    uint64_t n = 0;
+    uint32_t last = 0;
+    changes[0] = 0;
+    for (uint64_t word = 0; word * 64 < count; word++) {
+        const uint64_t left = count - word * 64, m = left < 64 ? left : 64;
+        uint64_t bits = 0;
+        for (uint64_t i = 0; i < m; i++, values += stride) {
+            const uint32_t v = load_value(values, stride);
+            const uint64_t differs = v != last;
+            changes[n + 1] = last = v;
+            n += differs;
+            bits |= differs << i;
+        }
+        flags[word] = bits;
+    }
+    return n;
+}
+
+static uint64_t find_changes_of(uint32_t stride, const uint8_t *values, uint64_t count, uint64_t *flags, uint32_t *changes)
+{
+    switch (stride) { /* so that the compiler sees the loads' sizes */
+    case 1: return find_changes(values, count, 1, flags, changes);
+    case 2: return find_changes(values, count, 2, flags, changes);
+    case 3: return find_changes(values, count, 3, flags, changes);
+    default: return find_changes(values, count, 4, flags, changes);
+    }
+}
+
+/* Finds the last RECENT values that had no code, by a hash; a value that another one has driven out of the table is new again. */
+typedef struct recent {
+    struct { uint32_t value, mark; } seen[HASHES]; /* mark: 16 * number of the value among those without a code + its code */
+    uint32_t next;                                 /* mark of the next one */
+} recent;
+
+static void recent_init(recent *r)
+{
+    memset(r, 0, sizeof *r);
+    r->next = 16 * (RECENT + 1); /* so that what is in the table now is too old */
+}
+
+/* The code of v; RECENT where it is new, then it is known from now on. */
+static inline uint32_t recent_code(recent *r, uint32_t v)
+{
+    const uint32_t h = v * 2654435761u >> 24, value = r->seen[h].value, mark = r->seen[h].mark, next = r->next;
+    const uint32_t other = (value != v) | ((next >> 4) - (mark >> 4) > RECENT), mask = 0 - other;
+    const uint32_t code = next & 15, after = ((next | 15) + 1) | (code + 1 < RECENT ? code + 1 : 0);
+    r->seen[h].value = v;
+    r->seen[h].mark = (next & mask) | (mark & ~mask);
+    r->next = (after & mask) | (next & ~mask);
+    return (RECENT & mask) | (mark & 15 & ~mask);
+}
+
+/* Do codes pay? They cost 4 bits a change; a hit saves its differences. Tried on one of eight runs of 64. */
+static bool codes_pay(const shape *s, const uint32_t *changes, uint64_t count)
+{
+    uint64_t tried = 0, hits = 0;
+    recent r;
+    if (s->stride == 1) return false;
+    recent_init(&r);
+    for (uint64_t begin = 0; begin < count; begin += 512)
+        for (uint64_t i = begin; i < begin + 64 && i < count; i++, tried++) hits += recent_code(&r, changes[i]) != RECENT;
+    return hits * (s->stride == 4 ? 5 : 3) > tried;
+}
+
+/* Changes without a code, and the value before each. codes[i]: a byte each. Returns how many there are. */
+static uint64_t find_codes(const uint32_t *changes /* from -1 on */, uint64_t count, uint8_t *codes, uint32_t *plain, uint32_t *before)
+{
+    recent r;
+    uint64_t n = 0;
+    recent_init(&r);
+    for (uint64_t i = 0; i < count; i++) {
+        const uint32_t code = recent_code(&r, changes[i]);
+        codes[i] = (uint8_t)code;
+        plain[n] = changes[i];
+        before[n] = changes[(int64_t)i - 1];
+        n += code == RECENT;
+    }
+    return n;
+}
+
+/* Differences of one component, small ones of both signs to small numbers. */
+static void find_differences(const shape *s, uint32_t component, const uint32_t *plain, const uint32_t *before, uint64_t count, uint16_t *out)
+{
+    if (s->bits == 16) {
+        const uint32_t shift = 16 * component;
+        for (uint64_t i = 0; i < count; i++) {
+            uint16_t d = (uint16_t)((plain[i] >> shift) - (before[i] >> shift));
+            out[i] = (uint16_t)(d << 1 ^ (0 - (d >> 15)));
+        }
+        return;
+    }
+    /* the component that comes first, and the one it is taken from (itself: nothing) */
+    const uint32_t shift = s->components == 1 ? 0 : component == 0 ? 8 : component == 1 ? 0 : 16;
+    const uint32_t mask = s->components == 1 || component == 0 ? 0 : 0xff;
+    for (uint64_t i = 0; i < count; i++) {
+        const uint32_t d = (plain[i] >> shift) - (before[i] >> shift), g = (plain[i] >> 8) - (before[i] >> 8), e = (d - (g & mask)) & 0xff;
+        out[i] = (uint16_t)((e << 1 ^ (0 - (e >> 7))) & 0xff);
+    }
+}
+
+static inline uint64_t load64(const void *p)
+{
+    uint64_t v;
+    memcpy(&v, p, sizeof v);
+    return v;
+}
+
+/* Four numbers of w bits in lanes of 16 to 4 w bits, and back. */
+static inline uint64_t squeeze(uint64_t x, uint32_t w)
+{
+    const uint64_t pairs = (x & 0x0000ffff0000ffffu) | (x >> 16 & 0x0000ffff0000ffffu) << w;
+    return (pairs & 0xffffffffu) | pairs >> 32 << 2 * w;
+}
+static inline uint64_t stretch(uint64_t x, uint32_t w)
+{
+    const uint64_t pair = ((uint64_t)1 << 2 * w) - 1, one = (((uint64_t)1 << w) - 1) * 0x100000001u;
+    const uint64_t pairs = (x & pair) | (x >> 2 * w & pair) << 32;
+    return (pairs & one) | (pairs >> w & one) << 16;
+}
+
+static inline uint32_t width_of(const uint16_t *group)
+{
+    uint64_t any = load64(group) | load64(group + 4);
+    any |= any >> 32;
+    any = (any | any >> 16) & 0xffff;
+    const uint32_t w = any != 0 ? 64 - (uint32_t)__builtin_clzll(any) : 0;
+    return w < 15 ? w : 16;
+}
+
+/* Differences (filled up to a multiple of GROUP) to widths of 4 bits and packed groups. Returns the end. */
+static uint8_t *pack(const uint16_t *d, uint64_t count, uint8_t *widths, uint8_t *out)
+{
+    const uint64_t groups = (count + GROUP - 1) / GROUP;
+    memset(widths, 0, (size_t)((groups + 1) / 2));
+    for (uint64_t g = 0; g < groups; g++, d += GROUP) {
+        const uint32_t w = width_of(d);
+        const uint64_t low = squeeze(load64(d), w), high = squeeze(load64(d + 4), w);
+        const uint64_t first = w < 16 ? low | high << 4 * w : low, second = w < 16 ? high >> 1 >> (63 - 4 * w) : high;
+        widths[g / 2] |= (uint8_t)((w < 16 ? w : 15) << 4 * (g & 1));
+        memcpy(out, &first, 8);
+        memcpy(out + 8, &second, 8);
+        out += w;
+    }
+    return out;
+}
+
+/* Flags: a bit for each byte of eight that is not 0, then those bytes. Returns the end. */
+static uint8_t *store_flags(const uint64_t *flags, uint64_t count, uint8_t *out)
+{
+    const uint64_t bytes = (count + 7) / 8;
+    uint8_t *present = out;
+    out += (bytes + 7) / 8;
+    for (uint64_t word = 0; word * 64 < count; word++) {
+        uint32_t any = 0;
+        for (uint32_t i = 0; i < 8; i++) {
+            const uint8_t b = (uint8_t)(flags[word] >> 8 * i);
+            *out = b;
+            out += b != 0;
+            any |= (uint32_t)(b != 0) << i;
+        }
+        present[word] = (uint8_t)any;
+    }
+    return out;
+}
+
+svo_result fmti_values_encode(svo_channel_kind kind, const uint8_t *values, uint64_t count, const svo_allocator *a, svo_buffer *to, svo_error *err)
+{
+    const shape s = shape_of(kind);
+    /* flags; changes; plain, before, differences; codes */
+    const uint64_t words = (count + 63) / 64, room = count + GROUP, scratch_size = 8 * words + 4 * (count + 2) + 8 * room + 2 * room + count;
+    const uint64_t most = 1 + words + 8 * words + count / 2 + 1 + s.components * (count / GROUP / 2 + 2 + 2 * room) + SLACK;
+    uint8_t *scratch = svo_alloc(a, scratch_size, 1);
+    if (scratch == NULL || !svo_buffer_reserve(to, (size_t)most)) {
+        svo_free(a, scratch, scratch_size, 1);
+        return out_of_memory(err);
+    }
+    uint64_t *flags = (uint64_t *)(void *)scratch;
+    uint32_t *changes = (uint32_t *)(void *)(flags + words), *plain = changes + count + 2, *before = plain + room;
+    uint16_t *differences = (uint16_t *)(void *)(before + room);
+    uint8_t *codes = (uint8_t *)(differences + room), *out = to->data + to->size;
+    const uint64_t n = find_changes_of(s.stride, values, count, flags, changes);
+    uint64_t m = n;
+    const uint32_t *from = changes + 1, *last = changes;
+    const bool coded = codes_pay(&s, changes + 1, n);
+    *out++ = coded;
+    out = store_flags(flags, count, out);
+    if (coded) {
+        m = find_codes(changes + 1, n, codes, plain, before);
+        from = plain, last = before;
+        for (uint64_t i = 0; i < n; i += 2) *out++ = (uint8_t)(codes[i] | (i + 1 < n ? codes[i + 1] : 0) << 4);
+    }
+    for (uint32_t k = 0; k < s.components; k++) {
+        find_differences(&s, k, from, last, m, differences);
+        memset(differences + m, 0, GROUP * sizeof *differences);
+        out = pack(differences, m, out, out + ((m + GROUP - 1) / GROUP + 1) / 2);
+    }
+    to->size = (size_t)(out - to->data);
+    svo_free(a, scratch, scratch_size, 1);
+    return SVO_OK;
+}
+
+/* --- decoder ---------------------------------------------------------------------------------------------------- */
+
+static svo_result damaged(const char *what, svo_error *err) { return svo_fail(err, SVO_INVALID_DATA, "packed values: %s (SVO-13)", what); }
+static svo_result ends_early(svo_error *err) { return damaged("they end early", err); }
+
+/* Flags of `count` values, and how many are set. */
+static svo_result load_flags(const uint8_t **at, const uint8_t *end, uint64_t count, uint64_t *flags, uint64_t *set, svo_error *err)
+{
+    const uint64_t words = (count + 63) / 64;
+    if ((uint64_t)(end - *at) < words) return ends_early(err);
+    const uint8_t *present = *at, *p = *at + words;
+    uint64_t n = 0;
+    for (uint64_t word = 0; word < words; word++) {
+        const uint32_t any = present[word];
+        uint64_t bits = 0;
+        if ((uint64_t)(end - p) < (uint32_t)__builtin_popcount(any)) return ends_early(err);
+        for (uint32_t b = any; b != 0; b &= b - 1, p++) {
+            if (*p == 0) return damaged("an empty byte of flags is stored", err);
+            bits |= (uint64_t)*p << 8 * (uint32_t)__builtin_ctz(b);
+        }
+        flags[word] = bits;
+        n += (uint64_t)__builtin_popcountll(bits);
+    }
+    if (count % 64 != 0 && flags[words - 1] >> count % 64 != 0) return damaged("flags of values that are not there", err);
+    *at = p;
+    *set = n;
+    return SVO_OK;
+}
+
+/* Codes of `count` changes to bytes, and how many of them are RECENT. */
+static svo_result load_codes(const uint8_t **at, const uint8_t *end, uint64_t count, uint8_t *codes, uint64_t *others, svo_error *err)
+{
+    const uint64_t bytes = (count + 1) / 2;
+    if ((uint64_t)(end - *at) < bytes) return ends_early(err);
+    for (uint64_t i = 0; i < bytes; i++) {
+        codes[2 * i] = (*at)[i] & 15;
+        codes[2 * i + 1] = (*at)[i] >> 4;
+    }
+    if (count % 2 != 0 && codes[count] != 0) return damaged("a code of no value", err);
+    uint64_t n = 0;
+    for (uint64_t i = 0; i < count; i++) n += codes[i] == RECENT;
+    *others = n;
+    *at += bytes;
+    return SVO_OK;
+}
+
+/* Differences of one component. out has room for a multiple of GROUP. */
+static svo_result unpack(const uint8_t **at, const uint8_t *end, uint64_t count, uint32_t bits, uint16_t *out, svo_error *err)
+{
+    const uint64_t groups = (count + GROUP - 1) / GROUP, bytes = (groups + 1) / 2;
+    if ((uint64_t)(end - *at) < bytes) return ends_early(err);
+    const uint8_t *widths = *at, *p = *at + bytes;
+    if (groups % 2 != 0 && widths[bytes - 1] >> 4 != 0) return damaged("a width of no group", err);
+    for (uint64_t g = 0; g < groups; g++, out += GROUP) {
+        uint32_t w = widths[g / 2] >> 4 * (g & 1) & 15;
+        uint64_t first, second, half[2];
+        w = w < 15 ? w : 16;
+        if (w > bits) return damaged("a group wider than its numbers", err);
+        const uint64_t left = (uint64_t)(end - p);
+        if (left >= SLACK) {
+            first = load64(p), second = load64(p + 8);
+        } else {
+            uint8_t tail[SLACK] = {0};
+            if (left < w) return ends_early(err);
+            memcpy(tail, p, (size_t)left);
+            first = load64(tail), second = load64(tail + 8);
+        }
+        half[0] = w < 16 ? stretch(first, w) : first;
+        half[1] = w < 16 ? stretch(first >> 4 * w | second << 1 << (63 - 4 * w), w) : second;
+        memcpy(out, half, sizeof half);
+        p += w;
+    }
+    for (uint64_t i = count; i % GROUP != 0; i++)
+        if (out[(int64_t)(i - groups * GROUP)] != 0) return damaged("a difference of no value", err);
+    *at = p;
+    return SVO_OK;
+}
+
+/* Components of differences to what has to be added to the value before, lane by lane. */
+static void merge(const shape *s, uint64_t count, uint64_t room, const uint16_t *differences, uint32_t *out)
+{
+    const uint16_t *a = differences, *b = differences + room, *c = differences + 2 * room;
+    if (s->components == 1) {
+        for (uint64_t i = 0; i < count; i++) out[i] = (uint16_t)(a[i] >> 1 ^ (0 - (a[i] & 1)));
+        if (s->bits == 8)
+            for (uint64_t i = 0; i < count; i++) out[i] &= 0xff;
+    } else if (s->components == 2) {
+        for (uint64_t i = 0; i < count; i++)
+            out[i] = (uint32_t)(uint16_t)(a[i] >> 1 ^ (0 - (a[i] & 1))) | (uint32_t)(uint16_t)(b[i] >> 1 ^ (0 - (b[i] & 1))) << 16;
+    } else {
+        for (uint64_t i = 0; i < count; i++) {
+            const uint32_t g = a[i] >> 1 ^ (0u - (a[i] & 1u)), r = (b[i] >> 1 ^ (0u - (b[i] & 1u))) + g, l = (c[i] >> 1 ^ (0u - (c[i] & 1u))) + g;
+            out[i] = (r & 0xff) | (g & 0xff) << 8 | (l & 0xff) << 16;
+        }
+    }
+}
+
+/* Sum in lanes: their highest bits apart. */
+static inline uint32_t add_lanes(uint32_t x, uint32_t d, const uint32_t tops) { return ((x & ~tops) + (d & ~tops)) ^ ((x ^ d) & tops); }
+
+static inline void rebuild(const uint64_t *flags, uint64_t count, const uint8_t *codes, const uint32_t *d, const uint32_t stride, const uint32_t tops, uint8_t *values)
+{
+    uint32_t x = 0, head = 0, ring[RECENT + 1] = {0};
+    for (uint64_t word = 0; word * 64 < count; word++) {
+        const uint64_t left = count - word * 64, m = left < 64 ? left : 64;
+        uint64_t bits = flags[word];
+        if (bits == 0) { /* a run */
+            for (uint64_t i = 0; i < m; i++, values += stride) store_value(values, x, stride);
+        } else if (codes == NULL) {
+            for (uint64_t i = 0; i < m; i++, bits >>= 1, values += stride) {
+                const uint32_t set = bits & 1;
+                x = add_lanes(x, *d & (0 - set), tops);
+                d += set;
+                store_value(values, x, stride);
+            }
+        } else {
+            for (uint64_t i = 0; i < m; i++, bits >>= 1, values += stride) {
+                /* without branches, which could not be foreseen */
+                const uint32_t set = bits & 1, code = *codes, other = set & (code == RECENT), mask = 0 - other, keep = set - 1;
+                const uint32_t v = (add_lanes(x, *d, tops) & mask) | (ring[code] & ~mask);
+                x = (v & ~keep) | (x & keep);
+                ring[(head & mask) | (RECENT & ~mask)] = x;
+                head += other;
+                head = head < RECENT ? head : 0;
+                d += other;
+                codes += set;
+                store_value(values, x, stride);
+            }
+        }
+    }
+}
+
+svo_result fmti_values_decode(svo_channel_kind kind, const uint8_t **at, const uint8_t *end, uint64_t count, const svo_allocator *a, uint8_t *values,
+                              svo_error *err)
+{
+    const shape s = shape_of(kind);
+    const uint64_t words = (count + 63) / 64, room = (count + GROUP) / GROUP * GROUP;
+    const uint64_t scratch_size = 8 * words + 4 * room + 2 * s.components * room + count + 2;
+    if (end - *at < 1) return ends_early(err);
+    const uint32_t mode = *(*at)++;
+    if (mode > 1) return damaged("unknown mode", err);
+    if ((uint64_t)(end - *at) < words) return ends_early(err); /* before memory is taken */
+    uint8_t *scratch = svo_alloc(a, scratch_size, 1);
+    if (scratch == NULL) return out_of_memory(err);
+    uint64_t *flags = (uint64_t *)(void *)scratch, changes = 0, others = 0;
+    uint32_t *sums = (uint32_t *)(void *)(flags + words);
+    uint16_t *differences = (uint16_t *)(void *)(sums + room);
+    uint8_t *codes = (uint8_t *)(differences + s.components * room);
+    svo_result r = load_flags(at, end, count, flags, &changes, err);
+    others = changes;
+    if (r == SVO_OK && mode == 1) r = load_codes(at, end, changes, codes, &others, err);
+    for (uint32_t k = 0; r == SVO_OK && k < s.components; k++) r = unpack(at, end, others, s.bits, differences + k * room, err);
+    if (r == SVO_OK) {
+        merge(&s, others, room, differences, sums);
+        sums[others] = 0; /* read, and not used, after the last one */
+        codes[changes] = 0;
+        const uint8_t *c = mode == 1 ? codes : NULL;
+        switch (kind) {
+        case SVO_KIND_COLOR_SRGB8: rebuild(flags, count, c, sums, 3, 0x808080, values); break;
+        case SVO_KIND_UNORM8: rebuild(flags, count, c, sums, 1, 0x80, values); break;
+        case SVO_KIND_ID16: rebuild(flags, count, c, sums, 2, 0x8000, values); break;
+        default: rebuild(flags, count, c, sums, 4, 0x80008000u, values); break;
+        }
+    }
+    svo_free(a, scratch, scratch_size, 1);
+    return r;
+}
+
+/* --- all channels ------------------------------------------------------------------------------------------------- */
+
+svo_result fmti_svo_pack(const svo_tree_info *info, const svo_chunk *chunk, const svo_allocator *a, svo_buffer *to, svo_error *err)
+{
+    for (uint32_t i = 0; i < info->channel_count; i++)
+        if (!info->channels[i].constant) SVO_TRY(fmti_values_encode(info->channels[i].kind, chunk->channels[i], chunk->value_count, a, to, err));
+    return SVO_OK;
+}
+
+svo_result fmti_svo_unpack(const svo_tree_info *info, const uint8_t *bytes, uint64_t size, uint64_t count, const svo_allocator *a, uint8_t *const to[SVO_MAX_CHANNELS],
+                           svo_error *err)
+{
+    const uint8_t *end = bytes + size;
+    for (uint32_t i = 0; i < info->channel_count; i++)
+        if (!info->channels[i].constant) SVO_TRY(fmti_values_decode(info->channels[i].kind, &bytes, end, count, a, to[i], err));
+    return bytes == end ? SVO_OK : damaged("bytes after the last channel", err);
+}
