@@ -330,7 +330,9 @@ static svo_result parse(reader *r, fmt_svdag *f)
     }
     SVO_TRY(fmt_container_meta(r->c, f->allocator, &f->provenance, r->err));
     SVO_TRY(svo_view_prepare(v, f->allocator, r->err));
-    return svo_view_validate(v, f->allocator, r->err);
+    SVO_TRY(svo_view_validate(v, f->allocator, r->err));
+    svo_view_accelerate(v, f->allocator);
+    return SVO_OK;
 }
 
 svo_result fmt_svdag_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_svdag *out, svo_error *err)

@@ -1,5 +1,5 @@
 /* Layout 3: the tables made of a file's chunks. */
-#include "svoi_best.h"
+#include "svoi_top.h"
 
 #include <string.h>
 
@@ -203,5 +203,7 @@ svo_result svo_view_prepare(svo_view *v, const svo_allocator *a, svo_error *err)
 void svo_view_release(svo_view *v, const svo_allocator *a)
 {
     svoi_best_close(v->best, a);
+    svoi_top_free(v->top, a);
     v->best = NULL;
+    v->top = NULL;
 }

@@ -1,5 +1,5 @@
 /* Traversing layout 3. */
-#include "svoi_best.h"
+#include "svoi_top.h"
 
 #define INLINE static inline __attribute__((always_inline))
 
@@ -318,7 +318,20 @@ INLINE bool find_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bo
     svoi_best_node n = svoi_best_unpack(svo_view_best_root(v).at);
     uint32_t world = b->root_turn, to_stored = svoi_turn_inverse(world), bit = v->tree_depth - 1;
     uint64_t size = b->attribute_count, attribute = 0;
-    for (uint32_t level = 0; level < b->block_level; level++, bit--) {
+    uint32_t level = 0;
+    if (v->top != NULL) {
+        const svoi_top_cell *cell = svoi_top_find(v->top, x, y, z);
+        if (cell == NULL) return false;
+        attribute = cell->attribute;
+        if (cell->place == SVOI_TOP_FULL) {
+            *index = attribute;
+            return true;
+        }
+        level = v->top->level, bit -= level;
+        n = svoi_top_node_at(cell->place), world = svoi_top_turn(cell->place), to_stored = svoi_turn_inverse(world);
+        if (numbered) size = v->top->size[cell - v->top->cell];
+    }
+    for (; level < b->block_level; level++, bit--) {
         uint32_t stored = svoi_turn_octant(to_stored, octant_at(x, y, z, bit)), turn;
         if (!(n.mask >> stored & 1)) return false;
         svoi_best_head h = read_head(b, level, n);
@@ -344,9 +357,8 @@ INLINE bool find_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bo
     if (!(block.bits[stored] >> (8 * a + voxel) & 1)) return false;
     *index = 0;
     if (!numbered) return true;
-    svo_view_node node = {.attribute = attribute, .full = block.full >> stored & 1};
-    uint64_t brick = node.full ? ~(uint64_t)0 : svoi_turn_brick(svoi_turn_after(world, turn), block.bits[stored]);
-    *index = svo_view_brick_voxel(v, node, brick, 8 * octant_at(x, y, z, 1) + octant_at(x, y, z, 0));
+    if (block.full >> stored & 1) *index = attribute;
+    else *index = svoi_turned_voxel(b->lod, block.bits[stored], to_stored, attribute, 8 * octant_at(x, y, z, 1) + octant_at(x, y, z, 0));
     return true;
 }
 

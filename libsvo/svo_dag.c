@@ -450,6 +450,7 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
         SVO_TRY(svoi_pack_channel(p, i, &b->values[i], &b->options, &report->channels[i], err));
         report->attribute_bytes += report->channels[i].bytes;
     }
+    svo_view_accelerate(&p->view, &p->memory.base);
     report->seconds_attributes = svo_seconds() - geometry;
     report->peak_bytes = svo_limit_peak(&p->memory);
     return SVO_OK;

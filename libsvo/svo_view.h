@@ -107,6 +107,7 @@ typedef struct svo_view {
     uint64_t best_stream_bytes, best_code_bytes;
     const struct svoi_best_level *best_levels; /* 0 .. brick_level - 1, SVO_BEST_LEVEL_BYTES each */
     struct svoi_best *best;
+    struct svoi_top *top; /* svo_view_accelerate; NULL: none */
     uint64_t attribute_count;
     uint64_t nodes[SVO_MAX_DEPTH + 1]; /* octree nodes a level, 0..depth, shared ones counted as often as they appear */
     double voxel_to_world[16];
@@ -251,6 +252,12 @@ svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool 
  * were filled in from a file, before svo_view_validate; svo_view_release frees them. */
 svo_result svo_view_prepare(svo_view *v, const svo_allocator *a, svo_error *err);
 void svo_view_release(svo_view *v, const svo_allocator *a);
+
+/* Make tables that svo_view_voxel uses where the layout is fast or best: of an upper level by place (at most 2 MiB, best 2.5), and of the
+ * sizes of small nodes that layout fast leaves to be counted (at most 4 MiB). The first is one walk over 2^16 cells, the second one over
+ * the stored nodes above the bricks; deep octrees have none. Only for views that are valid. Without memory there are no tables;
+ * results are the same. svo_view_release frees them. Opened files and built octrees have them. */
+void svo_view_accelerate(svo_view *v, const svo_allocator *a);
 
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);

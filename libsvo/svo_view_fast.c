@@ -1,5 +1,4 @@
 /* Layout 2 ("fast") node by node. */
-#include "svo_morton.h"
 #include "svoi_fast.h"
 
 svo_view_node svo_view_fast_root(const svo_view *v)
@@ -19,11 +18,12 @@ svo_view_node svo_view_fast_child(const svo_view *v, uint32_t level, svo_view_no
 {
     uint32_t stored = svoi_turn_octant(node.symmetry, octant), turn = node.symmetry;
     uint32_t earlier = svoi_turn_mask(node.symmetry, (1u << octant) - 1);
+    uint64_t end;
     svo_view_node child = {.attribute = node.attribute};
     if (!v->unnumbered && v->lod) child.attribute++;
     if (level + 1 == v->brick_level) {
         svoi_fast_block b = svoi_fast_open_block(v, node.at);
-        if (!v->unnumbered) child.attribute += svoi_fast_bricks_size(v, &b, earlier);
+        if (!v->unnumbered) child.attribute += svoi_fast_bricks_size(v, &b, earlier, &end);
         child.full = !(b.refs >> stored & 1);
         if (child.full) return child;
         uint64_t brick = svoi_fast_brick(v, &b, svoi_fast_slot(b.refs, stored), &turn);
@@ -32,7 +32,7 @@ svo_view_node svo_view_fast_child(const svo_view *v, uint32_t level, svo_view_no
         return child;
     }
     svoi_fast_node n = svoi_fast_open(v, level, node.at);
-    if (!v->unnumbered) child.attribute += svoi_fast_children_size(v, level, &n, earlier);
+    if (!v->unnumbered) child.attribute += svoi_fast_children_size(v, level, node.at, &n, earlier);
     child.full = !(n.refs >> stored & 1);
     if (child.full) return child;
     child.at = svoi_fast_find(v, level, &n, svoi_fast_slot(n.refs, stored), &turn);
@@ -45,13 +45,31 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
 {
     const bool count = index != NULL && !v->unnumbered;
     uint32_t turn = v->root, bit = v->tree_depth - 1;
-    uint64_t at = v->fast.level[0].begin, attribute = 0, brick;
-    for (uint32_t level = 0; level + 1 < v->brick_level; level++, bit--) {
+    uint32_t level = 0;
+    uint64_t at = v->fast.level[0].begin, attribute = 0, brick, end;
+    if (v->top != NULL) {
+        const svoi_top_cell *cell = svoi_top_find(v->top, x, y, z);
+        if (cell == NULL) return false;
+        attribute = cell->attribute;
+        if (cell->place == SVOI_TOP_FULL) goto full;
+        level = v->top->level, bit -= level;
+        at = svoi_top_node_at(cell->place).at, turn = svoi_top_turn(cell->place);
+    }
+    for (; level + 1 < v->brick_level; level++, bit--) {
         uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2;
         uint32_t stored = svoi_turn_octant(turn, octant);
+        if (count && level + 2 == v->brick_level && v->top != NULL && v->top->near != NULL) {
+            const svoi_near_node *near = svoi_near_find(v->top, at);
+            if (near->size[stored] == 0) return false;
+            if (near->begin[stored] != 0) {
+                attribute += (v->lod ? 1 : 0) + svoi_near_size(near, svoi_turn_mask(turn, (1u << octant) - 1));
+                at += near->begin[stored];
+                continue;
+            }
+        }
         svoi_fast_node n = svoi_fast_open(v, level, at);
         if (!(n.mask >> stored & 1)) return false;
-        if (count) attribute += (v->lod ? 1 : 0) + svoi_fast_children_size(v, level, &n, svoi_turn_mask(turn, (1u << octant) - 1));
+        if (count) attribute += (v->lod ? 1 : 0) + svoi_fast_children_size(v, level, at, &n, svoi_turn_mask(turn, (1u << octant) - 1));
         if (!(n.refs >> stored & 1)) goto full;
         at = svoi_fast_find(v, level, &n, svoi_fast_slot(n.refs, stored), &turn);
     }
@@ -60,12 +78,12 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
     uint32_t stored = svoi_turn_octant(turn, octant);
     svoi_fast_block k = svoi_fast_open_block(v, at);
     if (!(k.mask >> stored & 1)) return false;
-    if (count) attribute += (v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &k, svoi_turn_mask(turn, (1u << octant) - 1));
+    if (count) attribute += (v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &k, svoi_turn_mask(turn, (1u << octant) - 1), &end);
     if (!(k.refs >> stored & 1)) goto full;
     brick = svoi_fast_brick(v, &k, svoi_fast_slot(k.refs, stored), &change);
     turn = svoi_turn_after(change, turn);
     if (!(brick >> (8 * svoi_turn_octant(turn, b >> 3) + svoi_turn_octant(turn, b & 7)) & 1)) return false;
-    if (count) *index = svo_brick_voxel(v->lod, svoi_turn_brick(svoi_turn_inverse(turn), brick), attribute, b);
+    if (count) *index = svoi_turned_voxel(v->lod, brick, turn, attribute, b);
     else if (index != NULL) *index = 0;
     return true;
 full:

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "svoi_symmetry.h"
+#include "svoi_top.h"
 
 /* Bits from p up, the lowest first; at least 57 of them are valid. */
 static inline uint64_t svoi_fast_peek(const svo_view *v, uint64_t p)
@@ -143,27 +144,49 @@ static inline uint64_t svoi_fast_find(const svo_view *v, uint32_t level, const s
     return p;
 }
 
-/* Attributes of a block's children in the stored octants of `which`. */
-static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_block *b, uint32_t which)
+/* Up to eight pairs of bits, one to a byte. */
+static inline uint64_t svoi_tags_bytes(uint32_t tags)
+{
+    uint64_t t = tags;
+    t = (t | t << 24) & 0x000000ff000000ffu;
+    t = (t | t << 12) & 0x000f000f000f000fu;
+    return (t | t << 6) & 0x0303030303030303u;
+}
+
+/* Attributes of a block's children in the stored octants of `which`; *end: the bit after the block. */
+static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_block *b, uint32_t which, uint64_t *end)
 {
     const uint8_t *width = v->fast.code_bits[b->mode], *ids = v->fast.id_bits[b->mode];
-    uint64_t size = (uint64_t)__builtin_popcount(which & b->mask & ~b->refs), p = b->codes;
-    which &= b->refs;
-    for (uint32_t left = b->refs, tags = b->tags; which != 0; left &= left - 1, tags >>= 2) {
-        uint32_t bit = left & (0u - left), tag = tags & 3;
-        if (which & bit) {
-            uint64_t code = svoi_fast_bits(v, p, ids[tag] & 63);
-            uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[code];
+    uint64_t size = (uint64_t)__builtin_popcount(which & b->mask & ~b->refs);
+    uint32_t all = svoi_fast_codes(v, b, (uint32_t)__builtin_popcount(b->refs));
+    *end = b->codes + all;
+    if (all < 256) { /* where the codes begin, one to a byte: loads that do not wait for each other */
+        uint64_t t = svoi_tags_bytes(b->tags), low = t & 0x0101010101010101u, high = t >> 1 & 0x0101010101010101u;
+        uint64_t at = width[0] * (uint64_t)0x0101010101010101u + low * ((uint64_t)width[1] - width[0]) + high * ((uint64_t)width[2] - width[0]) +
+                      (low & high) * ((uint64_t)width[3] + width[0] - width[1] - width[2]);
+        at = at * 0x0101010101010101u << 8;
+        for (uint32_t m = which & b->refs; m != 0; m &= m - 1) {
+            uint32_t slot = (uint32_t)__builtin_popcount(b->refs & ((m & (0u - m)) - 1)), tag = b->tags >> 2 * slot & 3;
+            uint64_t p = b->codes + (at >> 8 * slot & 255);
+            uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
             size += svoi_brick_size(v->lod, brick);
-            which ^= bit;
+        }
+        return size;
+    }
+    uint64_t p = b->codes;
+    for (uint32_t left = b->refs, tags = b->tags; left != 0; left &= left - 1, tags >>= 2) {
+        uint32_t tag = tags & 3;
+        if (which & left & (0u - left)) {
+            uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
+            size += svoi_brick_size(v->lod, brick);
         }
         p += width[tag];
     }
     return size;
 }
 
-/* Attributes of a node's children in the stored octants of `which`. */
-static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level, const svoi_fast_node *n, uint32_t which)
+/* Attributes of a node's children in the stored octants of `which`; the node begins at bit `begin`. */
+static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level, uint64_t begin, const svoi_fast_node *n, uint32_t which)
 {
     uint32_t bits = v->fast.level[level].size_bits;
     uint64_t size = 0;
@@ -173,6 +196,7 @@ static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level
             size += svoi_fast_bits64(v, n->sizes + bits * (uint32_t)__builtin_popcount(n->mask & ((which & (0u - which)) - 1)), bits);
         return size;
     }
+    if (v->top != NULL && v->top->near != NULL) return svoi_near_size(svoi_near_find(v->top, begin), which);
     /* of nodes of 16^3: their children are blocks, whose bricks are counted */
     uint64_t inner = n->inner, codes = n->codes;
     const svo_view_fast_level *l = &v->fast.level[level];
@@ -184,15 +208,16 @@ static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level
             continue;
         }
         tags >>= 2;
-        uint64_t p = inner;
+        uint64_t p = inner, end;
         if (tag != 0) {
             p = l[1].begin + (svoi_fast_bits(v, codes, l->code_bits[tag]) >> 6) * 8;
             codes += l->code_bits[tag];
             if (!(which & bit)) continue;
         }
         svoi_fast_block b = svoi_fast_open_block(v, p);
-        if (tag == 0) inner = svoi_fast_block_end(v, &b);
-        if (which & bit) size += (v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &b, 0xff);
+        if (which & bit) size += (v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &b, 0xff, &end);
+        else end = svoi_fast_block_end(v, &b);
+        if (tag == 0) inner = end;
         which &= ~bit;
     }
     return size;

@@ -122,8 +122,9 @@ static inline uint64_t svoi_kept_block_before(svoi_kept *k, const svo_view *v, u
 {
     svoi_kept_block *b = &k->block[slot];
     if (!(b->numbered >> octant & 1)) {
+        uint64_t end;
         uint32_t earlier = svoi_turn_mask(k->block_key[slot].place & 63, (1u << octant) - 1);
-        b->before[octant] = (uint16_t)((v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &b->block, earlier)); /* 1 + 7 * 73 at most */
+        b->before[octant] = (uint16_t)((v->lod ? 1 : 0) + svoi_fast_bricks_size(v, &b->block, earlier, &end)); /* 1 + 7 * 73 at most */
         b->numbered |= (uint8_t)(1u << octant);
     }
     return b->before[octant];
@@ -133,7 +134,7 @@ static inline uint64_t svoi_kept_before(svoi_kept *k, const svo_view *v, uint32_
     svoi_kept_node *n = &k->node[slot];
     if (!(n->numbered >> octant & 1)) {
         uint32_t earlier = svoi_turn_mask(k->node_key[slot].place & 63, (1u << octant) - 1);
-        n->before[octant] = (v->lod ? 1 : 0) + svoi_fast_children_size(v, level, &n->node, earlier);
+        n->before[octant] = (v->lod ? 1 : 0) + svoi_fast_children_size(v, level, k->node_key[slot].place >> 6, &n->node, earlier);
         n->numbered |= (uint8_t)(1u << octant);
     }
     return n->before[octant];

@@ -53,20 +53,25 @@ static inline uint64_t svoi_brick_mirror_z(uint64_t b) { return svoi_exchange(sv
 static inline uint64_t svoi_brick_exchange_xy(uint64_t b) { return svoi_exchange(svoi_exchange(b, 1, 0x2222222222222222u), 8, 0x0000ff000000ff00u); }
 static inline uint64_t svoi_brick_exchange_yz(uint64_t b) { return svoi_exchange(svoi_exchange(b, 2, 0x0c0c0c0c0c0c0c0cu), 16, 0x00000000ffff0000u); }
 
+/* Octant by octant: sixteen loads that wait for nothing, where exchanges would be a long chain or branches that nobody can predict. */
 static inline uint64_t svoi_turn_brick(uint32_t turn, uint64_t b)
 {
-    switch (turn >> 3) {
-    case 1: b = svoi_brick_exchange_yz(b); break;
-    case 2: b = svoi_brick_exchange_xy(b); break;
-    case 3: b = svoi_brick_exchange_xy(svoi_brick_exchange_yz(b)); break;
-    case 4: b = svoi_brick_exchange_yz(svoi_brick_exchange_xy(b)); break;
-    case 5: b = svoi_brick_exchange_xy(svoi_brick_exchange_yz(svoi_brick_exchange_xy(b))); break;
-    default: break;
-    }
-    if (turn & 1) b = svoi_brick_mirror_x(b);
-    if (turn & 2) b = svoi_brick_mirror_y(b);
-    if (turn & 4) b = svoi_brick_mirror_z(b);
-    return b;
+    const uint8_t *axes = svoi_turns.axes_mask[turn >> 3], *mirror = svoi_turns.mirror_mask[turn & 7], *octant = svoi_turns.octant[turn];
+    uint64_t out = 0;
+    for (uint32_t o = 0; o < 8; o++) out |= (uint64_t)mirror[axes[b >> 8 * o & 0xff]] << 8 * octant[o];
+    return out;
+}
+
+/* svo_brick_voxel of a brick that lies turned: `turn` takes it from the grid to `stored`; b is the voxel's bit in the grid. */
+static inline uint64_t svoi_turned_voxel(bool lod, uint64_t stored, uint32_t turn, uint64_t i, uint32_t b)
+{
+    const uint64_t ones = 0x0101010101010101u;
+    uint32_t own = 8 * svoi_turn_octant(turn, b >> 3);
+    uint64_t before = svoi_turn_mask(turn, (1u << (b >> 3)) - 1) * ones & 0x8040201008040201u; /* octants before b's own ... */
+    before = ((before + 0x7f * ones) >> 7 & ones) * 255;                                      /* ... whole bytes of them */
+    uint64_t inside = (uint64_t)svoi_turn_mask(turn, (1u << (b & 7)) - 1) << own;
+    if (lod) i += 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(stored) & (before | (uint64_t)0xff << own));
+    return i + (uint64_t)__builtin_popcountll(stored & (before | inside));
 }
 
 /* The smallest brick that turns of the group make of `bits`; *turn takes it back to `bits` (the least such turn), bit g

@@ -5,6 +5,7 @@
 #include "svo_dag.h"
 #include "svo_morton.h"
 #include "svo_raycast.h"
+#include "svoi_top.h"
 #include "test.h"
 #include "trees.h"
 
@@ -55,7 +56,7 @@ static void same_node(const svo_view *a, const svo_view *b, uint32_t level, svo_
 }
 
 /* Each voxel of the tree is found, by itself and with its index, and its neighbours are where they are in the tree. */
-static void same_voxels(const tree *t, const svo_view *plain, const svo_view *v)
+static void same_places(const tree *t, const svo_view *plain, const svo_view *v)
 {
     uint64_t side = (uint64_t)1 << v->depth;
     for (uint64_t i = 0; i < t->count; i++) {
@@ -72,6 +73,19 @@ static void same_voxels(const tree *t, const svo_view *plain, const svo_view *v)
             else high = middle;
         }
         CHECK(svo_view_voxel(v, x + 1, y, z, NULL) == (low < t->count && t->codes[low] == code));
+    }
+}
+
+/* With the table of upper levels as it is made, without one, and with some of other levels. */
+static void same_voxels(const tree *t, const svo_view *plain, const svo_view *v)
+{
+    static const uint64_t cells[] = {0, 64, 600};
+    same_places(t, plain, v);
+    for (int i = 0; i < 3 && !test_failed(); i++) {
+        svo_view other = *v;
+        other.top = svoi_top_make(&other, cells[i], NULL);
+        same_places(t, plain, &other);
+        svoi_top_free(other.top, NULL);
     }
 }
 

@@ -9,6 +9,7 @@
 #include "svo_unpack.h"
 #include "svoi_raycast.h"
 #include "svoi_symmetry.h"
+#include "svoi_top.h"
 #include "test.h"
 #include "trees.h"
 
@@ -130,6 +131,22 @@ static void same_places(const svo_view *a, const svo_view *b, const tree *t, uin
     }
 }
 
+/* The tables for look-ups change nothing: without them, with those of any level. */
+static void same_with_other_tables(const svo_view *a, const svo_view *b, const tree *t)
+{
+    static const uint64_t cells[] = {0, 64, 600, 5000};
+    for (int i = 0; i < 4 && !test_failed(); i++) {
+        uint64_t seed = 31;
+        svo_view v = *b;
+        v.top = svoi_top_make(&v, cells[i], NULL);
+        CHECK(i != 0 || v.top == NULL);
+        same_places(a, &v, t, &seed);
+        if (i % 2 == 0) same_nodes(a, &v, 0, svo_view_root(a), svo_view_root(&v));
+        if (i % 2 == 0) same_rays(a, &v, &seed);
+        svoi_top_free(v.top, NULL);
+    }
+}
+
 /* Both layouts of a tree, with and without attributes of inner nodes. */
 static void compare(const tree *t)
 {
@@ -147,6 +164,7 @@ static void compare(const tree *t)
             same_nodes(a, b, 0, svo_view_root(a), svo_view_root(b));
             same_places(a, b, t, &seed);
             same_rays(a, b, &seed);
+            same_with_other_tables(a, b, t);
         }
         for (uint32_t c = 0; c < a->channel_count && !test_failed(); c++)
             for (uint64_t i = 0; i < a->attribute_count && a->channels[c].encoding != SVO_ENCODING_CONSTANT; i++) {
@@ -386,6 +404,33 @@ TEST(threads_do_not_show)
     tree_free(&t);
 }
 
+/* Without memory for the tables there are none, and nothing else changes. */
+TEST(tables_without_memory)
+{
+    uint64_t seed = 14;
+    tree t;
+    tree_random(&t, 8, 1, &seed);
+    svo_packed *p = build(&t, SVO_LAYOUT_FAST, true, 1, NULL), *plain = build(&t, SVO_LAYOUT_PLAIN, true, 1, NULL);
+    svo_view v = *svo_packed_view(p);
+    CHECK(v.top != NULL && v.top->near != NULL);
+    bool all = false;
+    for (uint64_t fail = 1; !all && !test_failed(); fail++) {
+        svo_limit_allocator a;
+        svo_limit_allocator_init(&a, UINT64_MAX, NULL);
+        a.fail_at = fail;
+        v.top = NULL;
+        svo_view_accelerate(&v, &a.base);
+        all = v.top != NULL && v.top->near != NULL;
+        same_places(svo_packed_view(plain), &v, &t, &seed);
+        svo_view_release(&v, &a.base);
+        CHECK(v.top == NULL && svo_limit_in_use(&a) == 0);
+        CHECK(fail < 20);
+    }
+    tree_free(&t);
+    svo_packed_free(p);
+    svo_packed_free(plain);
+}
+
 /* Any bit of the tree or the dictionary changed: refused, or as sound an octree. */
 typedef struct seen { uint64_t count, last; const svo_view *v; bool sound; } seen;
 static bool see(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
@@ -408,6 +453,7 @@ TEST(changed_bits_are_refused)
     tree_free(&t);
     if (p == NULL) return;
     svo_view v = *svo_packed_view(p);
+    v.top = NULL; /* made anew of every tree that is accepted */
     uint64_t bits = 8 * v.fast.tree_bytes, accepted = 0, tried = 0, step = bits / 6000 + 1;
     for (uint64_t i = 0; i < bits && !test_failed(); i += 1 + test_random(&seed) % (2 * step)) {
         uint8_t *byte = (uint8_t *)(uintptr_t)v.fast.tree + i / 8;
@@ -417,8 +463,10 @@ TEST(changed_bits_are_refused)
         if (svo_view_validate(&v, NULL, &err) == SVO_OK) {
             seen s = {.v = &v, .sound = true};
             accepted++;
+            svo_view_accelerate(&v, NULL);
             svo_view_voxels(&v, see, &s);
             CHECK(s.sound && s.count == v.nodes[8]);
+            svo_view_release(&v, NULL);
         } else CHECK_MSG(strstr(err.message, "DAG-") != NULL, "'%s' names no rule", err.message);
         *byte ^= (uint8_t)(1 << i % 8);
     }
