@@ -19,10 +19,7 @@ typedef struct line {
     uint32_t negative; /* bit k: direction[k] < 0 */
 } line;
 
-typedef struct place {
-    uint32_t tree_level; /* level in the tree of svo_view.tree_depth */
-    int32_t corner[3];   /* in finest voxels */
-} place;
+typedef svoi_ray_place place;
 
 INLINE double plane(const line *l, int axis, int32_t p) { return ((double)p - l->o[axis]) * l->inv[axis]; }
 INLINE double least(double a, double b, double c)
@@ -426,9 +423,10 @@ static svo_view_node fast_node_at(const svo_view *v, svoi_kept *k, const place *
 }
 
 /* Attribute index of a node that is known to exist. */
-static uint64_t attribute_of(const svo_view *v, svoi_ray_cache *c, const place *at)
+uint64_t svoi_ray_attribute(const svo_view *v, svoi_ray_cache *c, const place *at)
 {
     if (v->unnumbered) return 0;
+    if (v->layout == SVO_LAYOUT_FAST && !c->fast.ready) svoi_kept_clear(&c->fast);
     if (v->layout == SVO_LAYOUT_BEST && at->tree_level == v->tree_depth) {
         uint64_t index = 0;
         svo_view_best_voxel(v, (uint32_t)at->corner[0], (uint32_t)at->corner[1], (uint32_t)at->corner[2], &index);
@@ -478,7 +476,7 @@ void svoi_raycast(const svo_view *view, svoi_ray_cache *cache, const svo_ray *ra
         hit->t = (enter + l.base) * l.unit;
         hit->face = (uint8_t)face;
         hit->level = (uint8_t)(view->depth - above);
-        hit->attribute = attribute_of(view, cache, &at);
+        hit->attribute = svoi_ray_attribute(view, cache, &at);
     }
 }
 

@@ -43,4 +43,12 @@ static inline void svoi_ray_cache_init(svoi_ray_cache *c, uint64_t rays)
 void svoi_raycast(const svo_view *view, svoi_ray_cache *cache, const svo_ray *rays, uint32_t count, svo_hit *hits);
 bool svoi_ray_blocked(const svo_view *view, svoi_ray_cache *cache, const svo_ray *ray);
 
+/* A node that a ray has met: its level in the tree of svo_view.tree_depth, its corner in finest voxels. */
+typedef struct svoi_ray_place {
+    uint32_t tree_level;
+    int32_t corner[3];
+} svoi_ray_place;
+/* Its attribute index. */
+uint64_t svoi_ray_attribute(const svo_view *view, svoi_ray_cache *cache, const svoi_ray_place *at);
+
 #endif

@@ -1,0 +1,88 @@
+#include "svo_rays.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "svoi_rays.h"
+
+const char *svo_ray_kernel_name(svo_ray_kernel kernel)
+{
+    switch (kernel) {
+    case SVO_KERNEL_AUTO: return "auto";
+    case SVO_KERNEL_PORTABLE: return "portable";
+    case SVO_KERNEL_AVX512: return "avx512";
+    }
+    return "?";
+}
+
+/* The node that the kernel found, and where exactly the ray enters it, as svo_raycast tells it: everything of *hit but the
+ * attribute. False where it is not what svo_raycast finds: the kernel may see that a node is small enough only after the
+ * ray has entered it, and then it was not when it counted. */
+static bool found(const svo_rays *r, const svo_ray *ray, bool lod, int32_t state, const int32_t at[3], svoi_ray_place *place, svo_hit *hit)
+{
+    uint32_t above = (uint32_t)state - 1 - r->fraction; /* log2 of the node's edge in finest voxels */
+    double enter = -INFINITY, size = (double)((uint32_t)1 << above);
+    uint32_t face = 0;
+    place->tree_level = r->view->tree_depth - above;
+    for (uint32_t k = 0; k < 3; k++) {
+        place->corner[k] = at[k] >> r->fraction & -((int32_t)1 << above);
+        double inv = 1 / ray->direction[k], p = place->corner[k] + (inv < 0 ? size : 0);
+        double t = (p - ray->origin[k]) * inv;
+        if (t > enter) enter = t, face = 2 * k + (inv < 0);
+        hit->cell[k] = (uint32_t)place->corner[k] >> above;
+    }
+    if (enter < ray->t_min) enter = ray->t_min, face = SVO_FACE_INSIDE;
+    if (lod && above != 0 && !(size <= ray->spread * enter + ray->offset)) return false;
+    hit->hit = true;
+    hit->t = enter + 0.0; /* no negative zero */
+    hit->face = (uint8_t)face;
+    hit->level = (uint8_t)(r->view->depth - above);
+    return true;
+}
+
+static bool wants_lod(const svo_view *v, const svo_ray *rays, uint32_t count)
+{
+    bool any = false;
+    if (v->lod)
+        for (uint32_t i = 0; i < count; i++) any |= rays[i].spread > 0 || rays[i].offset > 0;
+    return any;
+}
+
+/* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
+static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked)
+{
+    bool lod = wants_lod(r->view, rays, count);
+    svoi_rays_prepare_avx512(r, rays, count, lod, b);
+    svoi_rays_trace_avx512(r, lod, b);
+    for (uint32_t i = 0; i < count; i++) {
+        int32_t state = b->state[i], at[3] = {b->at[0][i], b->at[1][i], b->at[2][i]};
+        svoi_ray_place place;
+        svo_hit unused, *hit = hits != NULL ? &hits[i] : &unused;
+        memset(hit, 0, sizeof *hit); /* its padding too: hits can be compared as bytes */
+        bool sure = state == 0 || (state != SVOI_RAY_DOUBT && ((hits == NULL && !lod) || found(r, &rays[i], lod, state, at, &place, hit)));
+        if (hits == NULL) blocked[i] = sure ? state != 0 : svoi_ray_blocked(r->view, cache, &rays[i]);
+        else if (!sure) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
+        else if (state != 0) hit->attribute = svoi_ray_attribute(r->view, cache, &place);
+    }
+}
+
+static void trace_all(const svo_rays *r, const svo_ray *rays, uint64_t count, svo_hit *hits, bool *blocked)
+{
+    svoi_ray_cache cache;
+    svoi_ray_batch batch;
+    svoi_ray_cache_init(&cache, count);
+    bool small = r->view->depth < 2; /* its virtual levels are svo_raycast's business */
+    for (uint64_t i = 0; i < count; i += SVOI_RAYS_BATCH) {
+        uint32_t n = count - i < SVOI_RAYS_BATCH ? (uint32_t)(count - i) : SVOI_RAYS_BATCH;
+        svo_hit *h = hits != NULL ? hits + i : NULL;
+        bool *b = blocked != NULL ? blocked + i : NULL;
+        if (r->kernel == SVO_KERNEL_AVX512 && !small) trace_batch(r, &cache, &batch, rays + i, n, h, b);
+        else if (h != NULL) svoi_raycast(r->view, &cache, rays + i, n, h);
+        else
+            for (uint32_t k = 0; k < n; k++) b[k] = svoi_ray_blocked(r->view, &cache, &rays[i + k]);
+    }
+}
+
+void svo_rays_cast(const svo_rays *r, const svo_ray *rays, uint64_t count, svo_hit *hits) { trace_all(r, rays, count, hits, NULL); }
+
+void svo_rays_blocked(const svo_rays *r, const svo_ray *rays, uint64_t count, bool *blocked) { trace_all(r, rays, count, NULL, blocked); }

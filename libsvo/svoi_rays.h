@@ -1,0 +1,57 @@
+/* Internal to libsvo: the second form of an octree that svo_rays traverses. Not installed.
+ *
+ * A tree of 4x4x4 nodes over the levels of the octree, from the bricks upwards two at a time. (Where the number of levels is odd,
+ * the root node is virtual above the octree's root.) Bit x + 4y + 16z of a node's mask: cell x, y, z is not empty. All is in
+ * units of 8 bytes:
+ *     node    mask; u32 unit of its first child; u32 box        2 units
+ *     brick   mask                                              1 unit
+ * The children of a node lie side by side in the order of their bits; nodes that are equal in the file share them. The box is
+ * what is inside the node, in sixteenths of its edge: six fields of 4 bits, low x y z and high x y z, both inclusive.
+ *
+ * Positions are fixed-point numbers: 30 bits across the root, the lower `fraction` of them inside a finest voxel. */
+#ifndef SVOI_RAYS_H
+#define SVOI_RAYS_H
+
+#include "svo_alloc.h"
+#include "svo_rays.h"
+#include "svoi_raycast.h"
+
+enum {
+    SVOI_RAYS_BITS = 30,
+    SVOI_RAYS_BATCH = 256,
+    SVOI_RAYS_LEVELS = (SVO_MAX_DEPTH + 2) / 2,
+    SVOI_RAYS_PAD = 16 /* what vector loads may read past the end of arrays */
+};
+
+struct svo_rays {
+    const svo_view *view;
+    const svo_allocator *allocator;
+    svo_ray_kernel kernel;
+    uint64_t *units; /* the root at 0 */
+    uint64_t unit_count, unit_capacity;
+    uint32_t levels;   /* of 4x4x4 nodes, bricks included: 1 .. SVOI_RAYS_LEVELS */
+    uint32_t fraction; /* SVOI_RAYS_BITS - 2 * levels */
+    int32_t low[3], high[3];           /* box of the root's contents, in fixed-point units */
+    int32_t root_low[3], root_high[3]; /* the octree's root */
+    uint64_t nodes, bricks;
+};
+
+/* Rays made ready: in fixed-point units, structure of arrays, those that can hit anything only. `ray` is the number in the batch. */
+typedef struct svoi_ray_batch {
+    _Alignas(64) double o[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], d[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], inv[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) double t[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], t_max[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) double spread[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], offset[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) int32_t q[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    uint32_t count;
+    /* Results by number of ray. state: 0 nothing is hit; SVOI_RAY_DOUBT; else 1 + log2 of the edge of the node hit, in fixed-point units */
+    _Alignas(64) int32_t state[SVOI_RAYS_BATCH], at[3][SVOI_RAYS_BATCH];
+} svoi_ray_batch;
+enum { SVOI_RAY_DOUBT = 0x100 };
+
+/* Fill in a batch from at most SVOI_RAYS_BATCH rays, trace it. */
+bool svoi_rays_have_avx512(void);
+void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, bool lod, svoi_ray_batch *b);
+void svoi_rays_trace_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b);
+
+#endif

@@ -1,0 +1,260 @@
+/* Many rays at a time: every kernel against svo_raycast, bit for bit, and against a loop over all voxels. */
+#include "svo_rays.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "nasty_rays.h"
+#include "packer.h"
+#include "svo_dag.h"
+#include "svo_morton.h"
+#include "trees.h"
+
+static const svo_ray_kernel kernels[] = {SVO_KERNEL_AUTO, SVO_KERNEL_PORTABLE, SVO_KERNEL_AVX512};
+
+static void print_difference(const svo_ray *r, const svo_hit *a, const svo_hit *b)
+{
+    CHECK_MSG(false, "o %a %a %a d %a %a %a t %a %a cone %g %g: hit %d t %a level %d face %d at %u %u %u index %llu, svo_raycast %d t %a level %d face %d at %u %u %u index %llu",
+              r->origin[0], r->origin[1], r->origin[2], r->direction[0], r->direction[1], r->direction[2], r->t_min, r->t_max, r->spread, r->offset,
+              a->hit, a->t, a->level, a->face, a->cell[0], a->cell[1], a->cell[2], (unsigned long long)a->attribute,
+              b->hit, b->t, b->level, b->face, b->cell[0], b->cell[1], b->cell[2], (unsigned long long)b->attribute);
+}
+
+/* All kernels give the same as svo_raycast on these rays, whatever the size of the batch. */
+static void check_rays(const svo_view *v, const svo_ray *rays, uint64_t count)
+{
+    svo_hit *expected = malloc(count * sizeof *expected), *hits = malloc(count * sizeof *hits);
+    bool *blocked = malloc(count);
+    for (uint64_t i = 0; i < count; i++) svo_raycast(v, &rays[i], 1, &expected[i]);
+    for (size_t k = 0; k < sizeof kernels / sizeof *kernels && !test_failed(); k++) {
+        svo_rays_options o = svo_default_rays_options();
+        o.kernel = kernels[k];
+        svo_rays *r;
+        svo_error err;
+        CHECK_OK(svo_rays_build(v, &o, &r, NULL, &err));
+        uint64_t step = k == 1 ? 100 : count;
+        for (uint64_t i = 0; i < count; i += step) {
+            uint64_t n = count - i < step ? count - i : step;
+            svo_rays_cast(r, rays + i, n, hits + i);
+            svo_rays_blocked(r, rays + i, n, blocked + i);
+        }
+        for (uint64_t i = 0; i < count && !test_failed(); i++) {
+            if (memcmp(&hits[i], &expected[i], sizeof *hits) != 0) print_difference(&rays[i], &hits[i], &expected[i]);
+            CHECK(blocked[i] == expected[i].hit);
+        }
+        svo_rays_free(r);
+    }
+    free(expected), free(hits), free(blocked);
+}
+
+static void check_view(const svo_view *v, uint64_t seed, uint64_t count)
+{
+    svo_ray *rays = malloc(count * sizeof *rays);
+    for (int cones = 0; cones < 2 && !test_failed(); cones++) {
+        for (uint64_t i = 0; i < count; i++) {
+            rays[i] = nasty_ray(&seed, v->depth, (uint32_t)(i % 3 == 0 ? i / 3 % KINDS : i % 2)); /* two thirds in general position */
+            if (!cones || !v->lod) continue;
+            rays[i].spread = i % 3 == 1 ? 0 : exp2(test_random_unit(&seed) * v->depth);
+            rays[i].offset = i % 5 != 0 ? 0 : ldexp(1, (int)v->depth) * test_random_unit(&seed) * test_random_unit(&seed);
+        }
+        check_rays(v, rays, count);
+    }
+    free(rays);
+}
+
+static int compare_codes(const void *a, const void *b)
+{
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return (x > y) - (x < y);
+}
+
+/* Sorted, unique codes of a world: 0 scattered, 1 a shell, 2 a solid block with holes, 3 clusters. */
+static uint64_t make_world(uint32_t depth, uint32_t style, uint64_t want, uint64_t *seed, uint64_t **out)
+{
+    uint64_t *codes = malloc((want + 1) * 8), count = 0, mask = ((uint64_t)1 << 3 * depth) - 1;
+    double n = ldexp(1, (int)depth);
+    uint64_t base = test_random(seed) & mask;
+    for (uint64_t i = 0; i < want; i++) {
+        if (style == 1) {
+            double z = 2 * test_random_unit(seed) - 1, a = 6.2831853 * test_random_unit(seed), r = sqrt(1 - z * z);
+            double p[3] = {r * cos(a), r * sin(a), z};
+            uint32_t c[3];
+            for (int k = 0; k < 3; k++) c[k] = (uint32_t)fmin(fmax(n * (0.5 + 0.45 * p[k]), 0), n - 1);
+            codes[count++] = svo_morton_encode(c[0], c[1], c[2]);
+        } else if (style == 2) {
+            if (test_random(seed) % 50 != 0) codes[count++] = i & mask;
+        } else if (style == 3) {
+            if (i % 64 == 0) base = test_random(seed) & mask;
+            codes[count++] = (base ^ (test_random(seed) & 511)) & mask;
+        } else codes[count++] = test_random(seed) & mask;
+    }
+    if (count == 0) codes[count++] = 0;
+    qsort(codes, count, 8, compare_codes);
+    uint64_t kept = 0;
+    for (uint64_t i = 0; i < count; i++)
+        if (i == 0 || codes[i] != codes[i - 1]) codes[kept++] = codes[i];
+    *out = codes;
+    return kept;
+}
+
+TEST(every_depth_and_shape)
+{
+    static const uint32_t depths[] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 16, 21};
+    uint64_t seed = 1;
+    for (size_t d = 0; d < sizeof depths / sizeof *depths; d++)
+        for (uint32_t style = 0; style < 4 && !test_failed(); style++) {
+            uint64_t *codes, cells = (uint64_t)1 << 3 * depths[d], want = cells < 3000 ? cells : 3000;
+            uint64_t count = make_world(depths[d], style, want, &seed, &codes);
+            for (int lod = 0; lod < 2 && !test_failed(); lod++) {
+                packer_options o = {.lod = lod != 0};
+                svo_view *v = packer_make(depths[d], codes, count, &o);
+                check_view(v, seed, 1500);
+                packer_free(v);
+            }
+            free(codes);
+        }
+}
+
+/* The rule of svo_raycast.h for all voxels, one by one. */
+TEST(a_loop_over_all_voxels_agrees)
+{
+    uint64_t seed = 9;
+    for (uint32_t depth = 3; depth <= 6 && !test_failed(); depth++) {
+        uint64_t *codes, count = make_world(depth, depth % 2 == 0 ? 1 : 0, 400, &seed, &codes);
+        svo_view *v = packer_make(depth, codes, count, NULL);
+        svo_rays *r;
+        svo_error err;
+        CHECK_OK(svo_rays_build(v, NULL, &r, NULL, &err));
+        enum { RAYS = 2000 };
+        static svo_ray rays[RAYS];
+        static svo_hit hits[RAYS];
+        for (uint32_t i = 0; i < RAYS; i++) rays[i] = nasty_ray(&seed, depth, i % KINDS);
+        svo_rays_cast(r, rays, RAYS, hits);
+        for (uint32_t i = 0; i < RAYS && !test_failed(); i++) {
+            double best = INFINITY;
+            uint32_t at[3] = {0, 0, 0};
+            for (uint64_t k = 0; k < count; k++) {
+                uint32_t cell[3];
+                double enter, leave;
+                svo_morton_decode(codes[k], &cell[0], &cell[1], &cell[2]);
+                if (!svo_ray_node(v, &rays[i], depth, cell, &enter, &leave)) continue;
+                double t = fmax(enter, rays[i].t_min);
+                if (t < leave && t <= rays[i].t_max && t < best) best = t, memcpy(at, cell, sizeof at);
+            }
+            CHECK(hits[i].hit == (best < INFINITY));
+            if (hits[i].hit) CHECK(hits[i].t == best && memcmp(at, hits[i].cell, sizeof at) == 0);
+        }
+        svo_rays_free(r);
+        packer_free(v);
+        free(codes);
+    }
+}
+
+TEST(every_layout)
+{
+    static const svo_geometry layouts[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
+    uint64_t seed = 4;
+    for (uint32_t depth = 2; depth <= 9 && !test_failed(); depth += depth < 4 ? 1 : 2)
+        for (uint32_t style = 0; style < TREE_STYLES + 1 && !test_failed(); style++) {
+            tree t;
+            if (style == TREE_STYLES && depth > 5) continue;
+            if (style == TREE_STYLES) tree_full(&t, depth, &seed);
+            else tree_random(&t, depth, style, &seed);
+            for (size_t k = 0; k < sizeof layouts / sizeof *layouts && !test_failed(); k++) {
+                svo_dag_options o = svo_default_dag_options();
+                o.geometry = layouts[k];
+                svo_dag_builder *b;
+                svo_packed *p = NULL;
+                svo_error err;
+                CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
+                CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
+                CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+                check_view(svo_packed_view(p), seed, 600);
+                svo_packed_free(p);
+            }
+            tree_free(&t);
+        }
+}
+
+TEST(odd_rays_are_as_svo_raycast_has_them)
+{
+    uint64_t seed = 5, *codes;
+    uint64_t count = make_world(7, 1, 3000, &seed, &codes);
+    packer_options o = {.lod = true};
+    svo_view *v = packer_make(7, codes, count, &o);
+    static const double values[] = {0, -0.0, 1, -1, 64, 64.5, 0x1p-1074, -0x1p-1060, 0x1p-301, 0x1p301, -0x1p1000, 1e18, -1e12, INFINITY, -INFINITY, NAN};
+    enum { RAYS = 6000, VALUES = sizeof values / sizeof *values };
+    svo_ray *rays = malloc(RAYS * sizeof *rays);
+    for (uint32_t i = 0; i < RAYS; i++) {
+        rays[i] = nasty_ray(&seed, 7, i % 2);
+        uint64_t which = test_random(&seed);
+        double *fields[10] = {&rays[i].origin[0], &rays[i].origin[1], &rays[i].origin[2], &rays[i].direction[0], &rays[i].direction[1],
+                              &rays[i].direction[2], &rays[i].t_min, &rays[i].t_max, &rays[i].spread, &rays[i].offset};
+        *fields[which % 10] = values[(which >> 8) % VALUES];
+        if (i % 2 != 0) *fields[(which >> 16) % 10] = values[(which >> 24) % VALUES];
+    }
+    check_rays(v, rays, RAYS);
+    free(rays);
+    packer_free(v);
+    free(codes);
+}
+
+/* An octree of 2^63 voxels: its levels are one node each, and so are those of the second form. */
+TEST(the_largest_solid)
+{
+    svo_view *v = packer_solid(21, true);
+    svo_rays *r;
+    svo_rays_report report;
+    svo_error err;
+    CHECK_OK(svo_rays_build(v, NULL, &r, &report, &err));
+    CHECK(report.bytes < 100000);
+    svo_rays_free(r);
+    check_view(v, 3, 500);
+    packer_free(v);
+}
+
+TEST(a_form_that_is_too_large_is_not_kept)
+{
+    uint64_t seed = 6, *codes;
+    uint64_t count = make_world(12, 0, 20000, &seed, &codes);
+    svo_view *v = packer_make(12, codes, count, NULL);
+    svo_rays_options o = svo_default_rays_options();
+    svo_limit_allocator limited;
+    svo_limit_allocator_init(&limited, UINT64_MAX, NULL);
+    o.allocator = &limited.base;
+    o.memory = 10000;
+    svo_rays *r;
+    svo_rays_report report;
+    svo_error err;
+    CHECK_OK(svo_rays_build(v, &o, &r, &report, &err));
+    CHECK(report.bytes == 0 && report.kernel == SVO_KERNEL_PORTABLE);
+    svo_ray ray = nasty_ray(&seed, 12, 0);
+    svo_hit a, b;
+    svo_rays_cast(r, &ray, 1, &a);
+    svo_raycast(v, &ray, 1, &b);
+    CHECK(memcmp(&a, &b, sizeof a) == 0);
+    svo_rays_free(r);
+    CHECK(svo_limit_in_use(&limited) == 0);
+    /* every allocation may fail */
+    o.memory = 0;
+    for (uint64_t i = 1; i < 60 && !test_failed(); i++) {
+        svo_limit_allocator_init(&limited, UINT64_MAX, NULL);
+        limited.fail_at = i;
+        svo_result result = svo_rays_build(v, &o, &r, &report, &err);
+        if (result == SVO_OK) {
+            CHECK(report.kernel == SVO_KERNEL_PORTABLE || report.bytes > 8 * count / 64);
+            svo_rays_free(r);
+        } else CHECK(result == SVO_OUT_OF_MEMORY);
+        CHECK(svo_limit_in_use(&limited) == 0);
+    }
+    packer_free(v);
+    free(codes);
+}
+
+TEST(an_empty_octree)
+{
+    svo_view *v = packer_make(5, NULL, 0, NULL);
+    check_view(v, 1, 50);
+    packer_free(v);
+}
