@@ -74,7 +74,7 @@ static void head_store(const skel_report *r, uint8_t b[HEAD_SIZE])
 static const char *head_load(const uint8_t *b, skel_report *r)
 {
     memset(r, 0, sizeof *r);
-    if (b[0] > SKEL_SOURCE_VOXELS || b[1] > SKEL_METHOD_LITERAL || b[2] > SKEL_NORMALIZE_BOX || b[3] > SKEL_PLACE_CONTRACTED)
+    if (b[0] > SKEL_SOURCE_VOXELS || b[1] > SKEL_METHOD_LITERAL || b[2] > SKEL_NORMALIZE_BOX || b[3] > SKEL_PLACE_INSIDE)
         return "an enumeration has an unknown value (SKL-02)";
     if (fmt_load32(b + 4) > 1) return "unknown flags (SKL-02)";
     for (int i = HEAD_ZERO_FROM; i < HEAD_SIZE; i++)

@@ -5,12 +5,14 @@
 #include <string.h>
 
 #include "skeli_internal.h"
+#include "skeli_surface.h"
 
 skel_options skel_default_options(void)
 {
     skel_options o;
     memset(&o, 0, sizeof o);
     o.omega = 0.025;
+    o.place = SKEL_PLACE_INSIDE;
     return o;
 }
 
@@ -62,6 +64,23 @@ static svo_result keep_samples(const skeli_soup *mesh, const uint32_t *joint_of,
     return SVO_OK;
 }
 
+/* The curve, and how good it is. surface is made here and the caller's to free. */
+static svo_result curve(skeli_pool *pool, const skeli_soup *soup, const skeli_soup *mesh, const skeli_state *state, const double *position, uint64_t points, const uint32_t *corner,
+                        uint64_t triangles, const skel_options *o, uint32_t *joint_of, skeli_surface *surface, skel_skeleton *out, svo_error *err)
+{
+    skel_report *r = &out->report;
+    double since = svo_seconds();
+    bool needed = !o->skip_quality || o->place == SKEL_PLACE_INSIDE;
+    if (needed) SVO_TRY(skeli_surface_make(pool, soup, position, points, corner, triangles, r, o->threads, surface, err));
+    skeli_phase(r, "surface", &since);
+    SVO_TRY(skeli_extract(pool, mesh, state, needed ? surface : NULL, o, out, joint_of, err));
+    skeli_phase(r, "extract", &since);
+    SVO_TRY(skeli_measure(pool, mesh, joint_of, out, err));
+    if (!o->skip_quality) SVO_TRY(skeli_quality_of(pool, surface, mesh, out, r->centre, r->unit, o->threads, &r->quality, err));
+    skeli_phase(r, "measure", &since);
+    return SVO_OK;
+}
+
 static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
                            const skel_options *o, skel_skeleton *out, svo_error *err)
 {
@@ -83,10 +102,10 @@ static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t po
     skeli_phase(r, "contract", &since);
     uint32_t *joint_of = skeli_take(pool, mesh.vertex_count, sizeof *joint_of);
     if (joint_of == NULL) return skeli_no_memory(err);
-    SVO_TRY(skeli_extract(pool, &mesh, &state, o, out, joint_of, err));
-    skeli_phase(r, "extract", &since);
-    SVO_TRY(skeli_measure(pool, &mesh, joint_of, out, err));
-    skeli_phase(r, "measure", &since);
+    skeli_surface surface = {0};
+    svo_result result = curve(pool, &soup, &mesh, &state, position, points, corner, triangles, o, joint_of, &surface, out, err);
+    skeli_surface_free(&surface);
+    SVO_TRY(result);
     if (o->keep_samples) SVO_TRY(keep_samples(&mesh, joint_of, out, err));
     out->map = svo_alloc(out->allocator, points, sizeof *out->map);
     if (out->map == NULL) return skeli_no_memory(err);
@@ -122,6 +141,7 @@ static void flatten(const svo_mesh *mesh, double *position, uint32_t *corner)
     for (uint32_t i = 0; i < mesh->instance_count; i++) {
         const svo_instance *in = &mesh->instances[i];
         const svo_shape *shape = &mesh->shapes[in->shape];
+        const bool mirrored = svo_mat4_det3(&in->transform) < 0;
         for (uint32_t k = 0; k < shape->part_count; k++) {
             const svo_part *part = &shape->parts[k];
             for (uint64_t v = 0; v < part->vertex_count; v++) {
@@ -132,16 +152,21 @@ static void flatten(const svo_mesh *mesh, double *position, uint32_t *corner)
                 to[1] = q.y;
                 to[2] = q.z;
             }
-            for (uint64_t c = 0; c < 3 * part->triangle_count; c++) corner[t++] = (uint32_t)base + part->indices[c];
+            for (uint64_t c = 0; c < 3 * part->triangle_count; c++) { /* a mirror turns triangles round */
+                uint64_t from = mirrored && c % 3 == 1 ? c + 1 : mirrored && c % 3 == 2 ? c - 1 : c;
+                corner[t++] = (uint32_t)base + part->indices[from];
+            }
             base += part->vertex_count;
         }
     }
 }
 
-svo_result skel_build_mesh(const svo_mesh *mesh, const skel_options *options, skel_skeleton *out, svo_error *err)
+typedef struct flat { double *position; uint32_t *corner; uint64_t points, triangles; } flat;
+
+static svo_result flat_make(const svo_mesh *mesh, const svo_allocator *a, flat *out, svo_error *err)
 {
-    SVO_TRY(skeli_check_options(options, err));
     uint64_t points = 0, triangles = 0;
+    memset(out, 0, sizeof *out);
     for (uint32_t i = 0; i < mesh->instance_count; i++) {
         const svo_shape *shape = &mesh->shapes[mesh->instances[i].shape];
         for (uint32_t k = 0; k < shape->part_count; k++) {
@@ -152,16 +177,52 @@ svo_result skel_build_mesh(const svo_mesh *mesh, const skel_options *options, sk
         }
     }
     if (triangles == 0) return svo_fail(err, SVO_INVALID_DATA, "the model has no triangles, so it has no skeleton");
-    double *position = svo_alloc(options->allocator, 3 * points, sizeof *position);
-    uint32_t *corner = svo_alloc(options->allocator, 3 * triangles, sizeof *corner);
-    svo_result result;
-    if (position == NULL || corner == NULL) {
-        result = skeli_no_memory(err);
-    } else {
-        flatten(mesh, position, corner);
-        result = skeli_pipeline(position, points, corner, triangles, options, out, err);
-    }
-    svo_free(options->allocator, position, 3 * points, sizeof *position);
-    svo_free(options->allocator, corner, 3 * triangles, sizeof *corner);
+    *out = (flat){svo_alloc(a, 3 * points, sizeof *out->position), svo_alloc(a, 3 * triangles, sizeof *out->corner), points, triangles};
+    if (out->position == NULL || out->corner == NULL) return skeli_no_memory(err);
+    flatten(mesh, out->position, out->corner);
+    return SVO_OK;
+}
+
+static void flat_free(flat *f, const svo_allocator *a)
+{
+    svo_free(a, f->position, 3 * f->points, sizeof *f->position);
+    svo_free(a, f->corner, 3 * f->triangles, sizeof *f->corner);
+}
+
+svo_result skel_build_mesh(const svo_mesh *mesh, const skel_options *options, skel_skeleton *out, svo_error *err)
+{
+    SVO_TRY(skeli_check_options(options, err));
+    flat f;
+    svo_result result = flat_make(mesh, options->allocator, &f, err);
+    if (result == SVO_OK) result = skeli_pipeline(f.position, f.points, f.corner, f.triangles, options, out, err);
+    flat_free(&f, options->allocator);
+    return result;
+}
+
+static svo_result quality_of(skeli_pool *pool, const flat *f, const skel_skeleton *s, uint32_t threads, skel_quality *q, svo_error *err)
+{
+    skel_report r = {.omega = 0.0125, .normalize = SKEL_NORMALIZE_BALL};
+    skeli_soup soup, mesh;
+    skeli_surface surface = {0};
+    uint32_t *remap = skeli_take(pool, f->points, sizeof *remap);
+    if (remap == NULL) return skeli_no_memory(err);
+    SVO_TRY(skeli_soup_make(pool, f->position, f->points, f->corner, f->triangles, &r, &soup, remap, err));
+    uint32_t *moved = skeli_take(pool, soup.vertex_count, sizeof *moved);
+    if (moved == NULL) return skeli_no_memory(err);
+    SVO_TRY(skeli_tessellate(pool, &soup, r.omega * SKEL_LATTICE, UINT32_MAX / 2, &mesh, moved, err));
+    svo_result result = skeli_surface_make(pool, &soup, f->position, f->points, f->corner, f->triangles, &r, threads, &surface, err);
+    if (result == SVO_OK) result = skeli_quality_of(pool, &surface, &mesh, s, r.centre, r.unit, threads, q, err);
+    skeli_surface_free(&surface);
+    return result;
+}
+
+svo_result skel_measure_quality(const svo_mesh *mesh, const skel_skeleton *s, uint32_t threads, const svo_allocator *a, skel_quality *out, svo_error *err)
+{
+    flat f;
+    skeli_pool pool = {.allocator = a};
+    svo_result result = flat_make(mesh, a, &f, err);
+    if (result == SVO_OK) result = quality_of(&pool, &f, s, threads, out, err);
+    skeli_pool_free(&pool);
+    flat_free(&f, a);
     return result;
 }

@@ -31,7 +31,9 @@ typedef enum skel_search { SKEL_SEARCH_FLANN = 0, SKEL_SEARCH_GRID = 1 } skel_se
 /* Where a joint is put. */
 typedef enum skel_place {
     SKEL_PLACE_CENTROID = 0,  /* area-weighted centroid of the original surface that is mapped to it */
-    SKEL_PLACE_CONTRACTED = 1 /* where its vertices were contracted to */
+    SKEL_PLACE_CONTRACTED = 1, /* where its vertices were contracted to */
+    SKEL_PLACE_INSIDE = 2 /* the centroid, moved to the middle of the section across the curve; ends reach tips, bones are kept inside of the solid. Where
+                             most of the curve is outside (a sheet), as the centroid */
 } skel_place;
 
 typedef struct skel_options {
@@ -46,6 +48,7 @@ typedef struct skel_options {
     skel_search search;
     skel_place place;
     uint32_t threads; /* 0 = all; no influence on the result */
+    bool skip_quality; /* leave report.quality unmeasured */
     bool keep_samples; /* fill `samples` of the skeleton, which skel_bind.h needs */
     svo_warnings *warnings;
     /* Called now and then with 0..1; may be NULL. Returning false cancels (SVO_CANCELLED). */
@@ -56,7 +59,7 @@ typedef struct skel_options {
 #define SKEL_MIN_OMEGA 1e-4
 #define SKEL_MAX_OMEGA 4.0
 
-/* omega 0.025, everything else 0. */
+/* omega 0.025, place INSIDE, everything else 0. */
 skel_options skel_default_options(void);
 
 typedef struct skel_joint {
@@ -70,7 +73,24 @@ typedef struct skel_bone { uint32_t a, b; } skel_bone; /* joints, a < b */
 typedef enum skel_source { SKEL_SOURCE_MESH = 0, SKEL_SOURCE_VOXELS = 1 } skel_source;
 
 typedef struct skel_phase { const char *name; double seconds; } skel_phase;
-enum { SKEL_MAX_PHASES = 8 };
+enum { SKEL_MAX_PHASES = 10 };
+
+/* How good the curve is, measured on the model's surface (of voxels: their outer boundary) at samples 0.004 units apart along the bones. Inside
+ * means a generalised winding number above 1/2. Lengths are percent of the bounding box's diagonal. */
+typedef struct skel_quality {
+    bool measured;               /* else all of this is 0 */
+    uint32_t surface_components; /* parts of the surface that share vertices */
+    uint32_t surface_closed;     /* of these: every edge has two triangles */
+    bool genus_known;            /* all parts are closed */
+    uint64_t genus;              /* sum over the parts, from their Euler characteristics */
+    uint64_t samples;
+    double joints_inside, length_inside; /* percent of the joints, of the length of the bones */
+    double outside_max;                  /* farthest sample from the surface of those outside */
+    /* Of samples inside, 24 rays across the bone with lengths r and directions d: 2 |sum r d| / sum r, 0 in the middle, about 1 at the surface. */
+    double off_centre_median, off_centre_p95;
+    /* Surface to the union of the inscribed balls of all samples. */
+    double balls_mean, balls_max;
+} skel_quality;
 
 /* What the run was and found. */
 typedef struct skel_report {
@@ -96,6 +116,7 @@ typedef struct skel_report {
     double reconstruction_mean, reconstruction_max;     /* the same minus the bone's radius there, absolute value */
     uint32_t voxel_level;  /* source VOXELS: octree level that was contracted, and that of the file */
     uint32_t voxel_depth;
+    skel_quality quality; /* not kept in files */
     uint32_t phase_count;
     skel_phase phases[SKEL_MAX_PHASES];
 } skel_report;
@@ -134,6 +155,9 @@ svo_result skel_build_voxels(const svo_tree_info *info, const svo_chunk_source *
                              skel_skeleton *out, svo_error *err);
 
 void skel_skeleton_free(skel_skeleton *s);
+
+/* Measure any curve (joints and bones of s, in the mesh's coordinates; nothing else of it is read) against the surface of a mesh. */
+svo_result skel_measure_quality(const svo_mesh *mesh, const skel_skeleton *s, uint32_t threads, const svo_allocator *a, skel_quality *out, svo_error *err);
 
 /* Count joints, bones, ends (degree 1), branches (degree 3 and more) and loops (bones - joints + 1) of each component
  * into out[0 .. report.components). */

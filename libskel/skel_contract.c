@@ -354,5 +354,8 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
     skeli_give(pool, c.point_of);
     skeli_give(pool, c.order);
     skeli_give(pool, c.key);
+    void *const rest[] = {s->rho, s->beta, s->step, s->reversals, s->corner, s->edge, s->edge_start, s->incident_start, s->incident, s->area, s->scratch, s->bucket, s->label,
+                          s->mean, s->next, s->gather};
+    for (size_t i = 0; i < sizeof rest / sizeof *rest; i++) skeli_give(pool, rest[i]);
     return SVO_OK;
 }

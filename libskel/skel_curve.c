@@ -1,23 +1,10 @@
 /* From the contracted vertices to joints and bones (Willcocks 2013, section 5.5, Postprocessing), with the clean-up that the text leaves out: what is
  * still a triangle after the weld becomes one joint, and corners of it that lead nowhere are folded into it. */
-#include "skeli_internal.h"
+#include "skeli_curve.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-
-typedef struct curve {
-    uint32_t joints; /* welded ones first, then those made of leftover triangles */
-    uint32_t welded;
-    uint32_t *joint_of; /* mesh vertex -> joint */
-    uint32_t *bone;     /* 2 each, sorted */
-    uint64_t bones;
-    uint32_t *triangle; /* leftover, 3 each, sorted */
-    uint64_t triangles;
-    uint32_t *group_of; /* leftover triangle -> group */
-    uint32_t groups;
-    double *position;   /* joints, lattice steps */
-} curve;
 
 static int by_three(const void *a, const void *b)
 {
@@ -28,7 +15,7 @@ static int by_three(const void *a, const void *b)
 }
 
 /* Weld whatever is nearer than omega, heaviest first, and map the mesh to the groups. */
-static svo_result weld_all(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skel_options *o, curve *c, svo_error *err)
+static svo_result weld_all(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skel_options *o, skeli_curve *c, svo_error *err)
 {
     uint32_t n = s->count;
     uint32_t *order = skeli_take(pool, n, sizeof *order), *scratch = skeli_take(pool, n, sizeof *scratch);
@@ -64,7 +51,7 @@ static svo_result weld_all(skeli_pool *pool, const skeli_soup *mesh, const skeli
 }
 
 /* Distinct pairs and distinct leftover triangles of joints. */
-static svo_result connect(skeli_pool *pool, const skeli_soup *mesh, curve *c, svo_error *err)
+static svo_result connect(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, svo_error *err)
 {
     uint64_t f = mesh->triangle_count;
     c->bone = skeli_take(pool, 6 * f, sizeof *c->bone);
@@ -99,7 +86,7 @@ static svo_result connect(skeli_pool *pool, const skeli_soup *mesh, curve *c, sv
 }
 
 /* Group leftover triangles that share a bone; drop their bones; connect the corners of each group to one new joint. */
-static svo_result replace_triangles(skeli_pool *pool, curve *c, svo_error *err)
+static svo_result replace_triangles(skeli_pool *pool, skeli_curve *c, svo_error *err)
 {
     if (c->triangles == 0) return SVO_OK;
     uint64_t n = c->triangles;
@@ -168,7 +155,7 @@ static svo_result replace_triangles(skeli_pool *pool, curve *c, svo_error *err)
 #define AROUND 0.65    /* up to here all of it */
 #define ONE_SIDED 0.9 /* from here on nothing */
 
-static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, const double *ring, curve *c, svo_error *err)
+static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, const double *ring, skeli_curve *c, svo_error *err)
 {
     enum { AREA, CENTROID, COUNT = 4, MEAN, DISTANCE = 8, AREA_DISTANCE, COLUMNS };
     double *sum = skeli_take(pool, COLUMNS * (uint64_t)c->welded, sizeof *sum);
@@ -210,7 +197,7 @@ static svo_result place_centroids(skeli_pool *pool, const skeli_soup *mesh, cons
 }
 
 /* New joints go to the middle of their corners; a corner whose only bone leads there is folded into it. */
-static svo_result fold_leaves(skeli_pool *pool, const skeli_soup *mesh, curve *c, svo_error *err)
+static svo_result fold_leaves(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, svo_error *err)
 {
     uint32_t *degree = skeli_take(pool, c->joints, sizeof *degree), *into = skeli_take(pool, c->joints, sizeof *into);
     double *sum = skeli_take(pool, 4 * ((uint64_t)c->groups + 1), sizeof *sum);
@@ -258,7 +245,7 @@ static svo_result fold_leaves(skeli_pool *pool, const skeli_soup *mesh, curve *c
 }
 
 /* Order joints by component and write them out. */
-static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, curve *c, skel_skeleton *out, svo_error *err)
+static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, skel_skeleton *out, svo_error *err)
 {
     uint32_t n = c->joints;
     uint32_t *parent = skeli_take(pool, (uint64_t)n + 1, sizeof *parent), *order = skeli_take(pool, n, sizeof *order);
@@ -307,25 +294,28 @@ static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, curve *c, skel_
     return SVO_OK;
 }
 
-svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skel_options *options, skel_skeleton *out,
-                         uint32_t *joint_of, svo_error *err)
+svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skeli_surface *surface, const skel_options *options,
+                         skel_skeleton *out, uint32_t *joint_of, svo_error *err)
 {
-    curve c = {.joint_of = joint_of};
+    skeli_curve c = {.joint_of = joint_of};
+    const double omega = options->omega * SKEL_LATTICE;
     SVO_TRY(weld_all(pool, mesh, s, options, &c, err));
     SVO_TRY(connect(pool, mesh, &c, err));
     out->report.leftover_triangles = (uint32_t)c.triangles;
     SVO_TRY(replace_triangles(pool, &c, err));
-    if (options->place == SKEL_PLACE_CENTROID) {
-        double *original = skeli_take(pool, 3 * (uint64_t)mesh->vertex_count, sizeof *original);
-        double *ring = skeli_take(pool, mesh->vertex_count, sizeof *ring);
-        if (original == NULL || ring == NULL) return skeli_no_memory(err);
-        for (uint64_t i = 0; i < 3 * (uint64_t)mesh->vertex_count; i++) original[i] = mesh->position[i];
-        skeli_rings(mesh, original, ring);
-        SVO_TRY(place_centroids(pool, mesh, ring, &c, err));
-        skeli_give(pool, original);
-        skeli_give(pool, ring);
-    }
+    double *original = skeli_take(pool, 3 * (uint64_t)mesh->vertex_count, sizeof *original);
+    double *ring = skeli_take(pool, mesh->vertex_count, sizeof *ring);
+    if (original == NULL || ring == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 3 * (uint64_t)mesh->vertex_count; i++) original[i] = mesh->position[i];
+    skeli_rings(mesh, original, ring);
+    skeli_give(pool, original);
+    if (options->place != SKEL_PLACE_CONTRACTED) SVO_TRY(place_centroids(pool, mesh, ring, &c, err));
     SVO_TRY(fold_leaves(pool, mesh, &c, err));
+    if (surface != NULL && skeli_mostly_inside(surface, &c)) {
+        SVO_TRY(skeli_close_false_loops(pool, mesh, surface, &c, err));
+        if (options->place == SKEL_PLACE_INSIDE) SVO_TRY(skeli_centre(pool, mesh, surface, omega, &c, err));
+    }
+    skeli_give(pool, ring);
     SVO_TRY(emit(pool, mesh, &c, out, err));
     return SVO_OK;
 }

@@ -101,12 +101,14 @@ void skeli_collapse(skeli_state *s, uint32_t groups);
 /* After edges or triangles changed. */
 void skeli_index(skeli_state *s);
 
+/* What the curve does not need is freed at the end: position, weight, live and their counts are left of the state. */
 svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, skel_report *report, skeli_state *state,
                           svo_error *err);
 
 /* --- curve -------------------------------------------------------------------------------------------------------- */
 /* Joints, bones, radii, measures; joint_of (vertices of the mesh) gets the map. Fills out but for its map. */
-svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *state, const skel_options *options,
+struct skeli_surface; /* may be NULL: then nothing is known about inside */
+svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *state, const struct skeli_surface *surface, const skel_options *options,
                          skel_skeleton *out, uint32_t *joint_of, svo_error *err);
 /* Distance of p from the segment a b, and where its foot lies (0 at a, 1 at b). */
 double skeli_segment_distance(const double *p, const double *a, const double *b, double *foot);

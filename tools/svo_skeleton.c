@@ -11,7 +11,7 @@
 static const char *const methods[] = {"fast", "literal", NULL};
 static const char *const normalizations[] = {"ball", "box", NULL};
 static const char *const searches[] = {"flann", "grid", NULL};
-static const char *const places[] = {"centroid", "contracted", NULL};
+static const char *const places[] = {"centroid", "contracted", "inside", NULL};
 
 enum { MAX_COMPONENTS = 256 }; /* in the report; all are counted */
 
@@ -188,6 +188,19 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
     cli_put_f64(errors, "reconstruction_mean", r->reconstruction_mean);
     cli_put_f64(errors, "reconstruction_max", r->reconstruction_max);
 
+    const skel_quality *q = &r->quality;
+    cli_put_u64(input, "surface_components", q->surface_components);
+    cli_put_u64(input, "surface_closed_components", q->surface_closed);
+    json_object_set_new(input, "genus", q->genus_known ? json_integer((json_int_t)q->genus) : json_null());
+    cli_put_u64(errors, "curve_samples", q->samples);
+    cli_put_f64(errors, "joints_inside_percent", q->joints_inside);
+    cli_put_f64(errors, "length_inside_percent", q->length_inside);
+    cli_put_f64(errors, "outside_max", q->outside_max);
+    cli_put_f64(errors, "off_centre_median", q->off_centre_median);
+    cli_put_f64(errors, "off_centre_p95", q->off_centre_p95);
+    cli_put_f64(errors, "inscribed_balls_mean", q->balls_mean);
+    cli_put_f64(errors, "inscribed_balls_max", q->balls_max);
+
     json_t *phases = json_object_get(c->json, "phases");
     for (uint32_t i = 0; i < r->phase_count; i++) {
         json_t *p = json_object();
@@ -198,6 +211,10 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
     cli_info(c, "%u joints, %u bones, %u ends, %u branches, %u loops in %u component%s; %s after %llu sweeps, thinness error %.3g %%", s->joint_count, s->bone_count,
              r->ends, r->branches, r->loops, r->components, r->components == 1 ? "" : "s", r->converged ? "converged" : "NOT converged",
              (unsigned long long)r->iterations, r->thinness_error);
+    char genus[48] = "surface not closed";
+    if (q->genus_known) snprintf(genus, sizeof genus, "surface of genus %llu", (unsigned long long)q->genus);
+    cli_info(c, "%s; %.1f %% of the curve inside, off centre %.2f (median), reconstruction error %.2f %% of the diagonal", genus, q->length_inside, q->off_centre_median,
+             q->balls_mean);
 }
 
 /* --- output ------------------------------------------------------------------------------------------------------- */
@@ -356,7 +373,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8};
+    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .place = SKEL_PLACE_INSIDE};
     cli_option options[] = {
         {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .seen = &o.has_omega,
          .no_default = true, .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.025 suits a figure with limbs."},
@@ -372,7 +389,7 @@ int main(int argc, char **argv)
          .help = "The model's size: diameter of its enclosing ball / 1.15, which no rotation changes, or longest side of its box."},
         {.name = "search", .kind = CLI_CHOICE, .value = &o.search, .choices = searches, .argument = "S", .help = "Neighbour search; both give the same result."},
         {.name = "place", .kind = CLI_CHOICE, .value = &o.place, .choices = places, .argument = "P",
-         .help = "Joints go to the centroid of the surface that belongs to them, or stay where they were contracted to."},
+         .help = "inside: joints in the middle of the solid, ends out to the tips, bones kept inside; centroid: of the surface that belongs to them; contracted: where they were contracted to."},
         {.name = "glb", .kind = CLI_TEXT, .value = &o.glb, .argument = "OUT.glb", .no_default = true, .group = "Output",
          .help = "Write the mesh with joints and weights as skinned glTF too (of voxels: the curve as lines)."},
         {.name = "obj", .kind = CLI_TEXT, .value = &o.obj, .argument = "OUT.obj", .no_default = true, .group = "Output", .help = "Write the curve as OBJ lines too."},

@@ -1,0 +1,226 @@
+/* How good a curve is: inside, centred, and how much of the model its inscribed balls give back. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "skeli_surface.h"
+#include "svo_task.h"
+
+enum { RAYS = 24, RAY_SAMPLES = 1500, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000 };
+#define SPACING 0.004 /* units */
+
+typedef struct sample { double at[3], along[3], length, radius, off; bool inside; } sample;
+
+typedef struct measuring {
+    const skeli_surface *surface;
+    const skeli_soup *mesh;
+    sample *samples;
+    uint64_t count, ray_step, vertex_step;
+    double *gap; /* of each vertex_step-th vertex of the mesh to the balls */
+} measuring;
+
+/* Unit vectors u, v that are perpendicular to d (unit) and to each other. */
+static void frame(const double *d, double *u, double *v)
+{
+    int least = fabs(d[0]) <= fabs(d[1]) && fabs(d[0]) <= fabs(d[2]) ? 0 : fabs(d[1]) <= fabs(d[2]) ? 1 : 2;
+    double length = 0;
+    for (int k = 0; k < 3; k++) {
+        u[k] = (k == least) - d[least] * d[k];
+        length += u[k] * u[k];
+    }
+    for (int k = 0; k < 3; k++) u[k] /= sqrt(length);
+    for (int k = 0; k < 3; k++) v[k] = d[(k + 1) % 3] * u[(k + 2) % 3] - d[(k + 2) % 3] * u[(k + 1) % 3];
+}
+
+static double off_centre(const skeli_surface *s, const sample *p)
+{
+    double u[3], v[3], sum[3] = {0, 0, 0}, total = 0;
+    frame(p->along, u, v);
+    for (int i = 0; i < RAYS; i++) {
+        double c = cos(6.283185307179586 * i / RAYS), e = sin(6.283185307179586 * i / RAYS);
+        const double d[3] = {c * u[0] + e * v[0], c * u[1] + e * v[1], c * u[2] + e * v[2]};
+        double r = skeli_surface_ray(s, p->at, d, 2.0 * SKEL_LATTICE);
+        for (int k = 0; k < 3; k++) sum[k] += r * d[k];
+        total += r;
+    }
+    return total > 0 ? 2 * sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]) / total : 0;
+}
+
+static svo_result look(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    measuring *m = user;
+    for (uint64_t i = begin; i < end; i++) {
+        sample *p = &m->samples[i];
+        p->inside = skeli_surface_inside(m->surface, p->at);
+        p->radius = skeli_surface_distance(m->surface, p->at, 4.0 * SKEL_LATTICE, NULL);
+        p->off = p->inside && p->length > 0 && i % m->ray_step == 0 ? off_centre(m->surface, p) : -1;
+    }
+    return SVO_OK;
+}
+
+static svo_result gaps(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    measuring *m = user;
+    for (uint64_t i = begin; i < end; i++) {
+        const int32_t *q = m->mesh->position + 3 * i * m->vertex_step;
+        double best = INFINITY;
+        for (uint64_t k = 0; k < m->count && best > 0; k++) {
+            const sample *p = &m->samples[k];
+            double x = q[0] - p->at[0], y = q[1] - p->at[1], z = q[2] - p->at[2], d2 = x * x + y * y + z * z, r = p->inside ? p->radius : 0;
+            if (d2 >= (best + r) * (best + r)) continue;
+            double d = sqrt(d2) - r;
+            best = d > 0 ? d : 0;
+        }
+        m->gap[i] = best;
+    }
+    return SVO_OK;
+}
+
+static int by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return x < y ? -1 : x > y;
+}
+
+/* Samples of all bones, the middle of each piece; a joint without bones is a sample without length. */
+static svo_result take_samples(skeli_pool *pool, const double *joint, uint32_t joints, const uint32_t *bone, uint64_t bones, measuring *m, svo_error *err)
+{
+    uint8_t *used = skeli_take(pool, joints, 1);
+    if (used == NULL) return skeli_no_memory(err);
+    memset(used, 0, joints);
+    double total = 0;
+    for (uint64_t b = 0; b < bones; b++) {
+        double foot;
+        used[bone[2 * b]] = used[bone[2 * b + 1]] = 1;
+        total += skeli_segment_distance(joint + 3 * (uint64_t)bone[2 * b], joint + 3 * (uint64_t)bone[2 * b + 1], joint + 3 * (uint64_t)bone[2 * b + 1], &foot);
+    }
+    double step = SPACING * SKEL_LATTICE;
+    if (total > step * MAX_SAMPLES) step = total / MAX_SAMPLES;
+    uint64_t room = (uint64_t)(total / step) + 1 + bones + joints;
+    m->samples = skeli_take(pool, room, sizeof *m->samples);
+    if (m->samples == NULL) return skeli_no_memory(err);
+    for (uint64_t b = 0; b < bones; b++) {
+        const double *a = joint + 3 * (uint64_t)bone[2 * b], *c = joint + 3 * (uint64_t)bone[2 * b + 1];
+        double foot, length = skeli_segment_distance(a, c, c, &foot);
+        uint64_t n = (uint64_t)(length / step) + 1;
+        for (uint64_t i = 0; i < n && length > 0; i++) {
+            sample *p = &m->samples[m->count++];
+            *p = (sample){.length = length / (double)n};
+            for (int k = 0; k < 3; k++) {
+                p->at[k] = a[k] + (c[k] - a[k]) * ((double)i + 0.5) / (double)n;
+                p->along[k] = (c[k] - a[k]) / length;
+            }
+        }
+    }
+    for (uint32_t j = 0; j < joints; j++)
+        if (!used[j]) {
+            m->samples[m->count] = (sample){.along = {1, 0, 0}};
+            memcpy(m->samples[m->count++].at, joint + 3 * (uint64_t)j, 3 * sizeof *joint);
+        }
+    SVO_ASSERT(m->count <= room);
+    skeli_give(pool, used);
+    return SVO_OK;
+}
+
+static svo_result sum_up(skeli_pool *pool, const measuring *m, const double *joint, uint32_t joints, double diagonal, skel_quality *q, svo_error *err)
+{
+    const double percent = diagonal > 0 ? 100 / diagonal : 0;
+    double *off = skeli_take(pool, m->count, sizeof *off), length = 0, inside = 0, farthest = 0;
+    if (off == NULL) return skeli_no_memory(err);
+    uint64_t n = 0;
+    for (uint64_t i = 0; i < m->count; i++) {
+        const sample *p = &m->samples[i];
+        length += p->length;
+        if (p->inside) inside += p->length;
+        else farthest = fmax(farthest, p->radius);
+        if (p->off >= 0) off[n++] = p->off;
+    }
+    qsort(off, n, sizeof *off, by_value);
+    if (n > 0) {
+        q->off_centre_median = off[n / 2];
+        q->off_centre_p95 = off[n * 95 / 100];
+    }
+    uint32_t in = 0;
+    for (uint32_t j = 0; j < joints; j++) in += skeli_surface_inside(m->surface, joint + 3 * (uint64_t)j);
+    q->samples = m->count;
+    q->joints_inside = joints > 0 ? 100.0 * in / joints : 0;
+    q->length_inside = length > 0 ? 100 * (inside / length) : q->joints_inside;
+    q->outside_max = farthest * percent;
+    skeli_give(pool, off);
+    return SVO_OK;
+}
+
+/* Area-weighted over vertices of the tessellated mesh. */
+static svo_result balls(skeli_pool *pool, measuring *m, double diagonal, uint32_t threads, skel_quality *q, svo_error *err)
+{
+    const uint64_t n = m->mesh->vertex_count;
+    m->vertex_step = n / SURFACE_SAMPLES + 1;
+    uint64_t count = (n + m->vertex_step - 1) / m->vertex_step;
+    m->gap = skeli_take(pool, count, sizeof *m->gap);
+    double *position = skeli_take(pool, 3 * n, sizeof *position), *ring = skeli_take(pool, n, sizeof *ring), sum = 0, total = 0;
+    if (m->gap == NULL || position == NULL || ring == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 3 * n; i++) position[i] = m->mesh->position[i];
+    skeli_rings(m->mesh, position, ring);
+    SVO_TRY(svo_parallel_for(threads, count, 256, gaps, m, err));
+    for (uint64_t i = 0; i < count; i++) {
+        sum += ring[i * m->vertex_step] * m->gap[i];
+        total += ring[i * m->vertex_step];
+        q->balls_max = fmax(q->balls_max, m->gap[i]);
+    }
+    const double percent = diagonal > 0 ? 100 / diagonal : 0;
+    q->balls_mean = total > 0 ? sum / total * percent : 0;
+    q->balls_max *= percent;
+    skeli_give(pool, m->gap);
+    skeli_give(pool, position);
+    skeli_give(pool, ring);
+    return SVO_OK;
+}
+
+svo_result skeli_quality(skeli_pool *pool, const skeli_surface *surface, const skeli_soup *mesh, const double *joint, uint32_t joints, const uint32_t *bone, uint64_t bones,
+                         uint32_t threads, skel_quality *q, svo_error *err)
+{
+    measuring m = {.surface = surface, .mesh = mesh};
+    skeli_genus genus;
+    memset(q, 0, sizeof *q);
+    SVO_TRY(skeli_surface_genus(pool, surface->soup, &genus, err));
+    SVO_TRY(take_samples(pool, joint, joints, bone, bones, &m, err));
+    m.ray_step = m.count / RAY_SAMPLES + 1;
+    SVO_TRY(svo_parallel_for(threads, m.count, 64, look, &m, err));
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, diagonal2 = 0;
+    for (uint64_t i = 0; i < 3 * (uint64_t)mesh->vertex_count; i++) {
+        low[i % 3] = fmin(low[i % 3], mesh->position[i]);
+        high[i % 3] = fmax(high[i % 3], mesh->position[i]);
+    }
+    for (int k = 0; k < 3; k++) diagonal2 += (high[k] - low[k]) * (high[k] - low[k]);
+    SVO_TRY(sum_up(pool, &m, joint, joints, sqrt(diagonal2), q, err));
+    SVO_TRY(balls(pool, &m, sqrt(diagonal2), threads, q, err));
+    q->surface_components = genus.components;
+    q->surface_closed = genus.closed;
+    q->genus_known = genus.known;
+    q->genus = genus.known ? genus.genus : 0;
+    q->measured = true;
+    skeli_give(pool, m.samples);
+    return SVO_OK;
+}
+
+svo_result skeli_quality_of(skeli_pool *pool, const skeli_surface *surface, const skeli_soup *mesh, const skel_skeleton *s, const double centre[3], double unit, uint32_t threads,
+                            skel_quality *q, svo_error *err)
+{
+    double *joint = skeli_take(pool, 3 * (uint64_t)s->joint_count, sizeof *joint);
+    uint32_t *bone = skeli_take(pool, 2 * (uint64_t)s->bone_count, sizeof *bone);
+    if (joint == NULL || bone == NULL) return skeli_no_memory(err);
+    for (uint64_t j = 0; j < s->joint_count; j++)
+        for (uint64_t k = 0; k < 3; k++) joint[3 * j + k] = (s->joints[j].position[k] - centre[k]) / unit * SKEL_LATTICE;
+    for (uint64_t b = 0; b < s->bone_count; b++) {
+        bone[2 * b] = s->bones[b].a;
+        bone[2 * b + 1] = s->bones[b].b;
+    }
+    SVO_TRY(skeli_quality(pool, surface, mesh, joint, s->joint_count, bone, s->bone_count, threads, q, err));
+    skeli_give(pool, joint);
+    skeli_give(pool, bone);
+    return SVO_OK;
+}

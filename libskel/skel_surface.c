@@ -1,0 +1,318 @@
+/* The model's surface: nearest point and rays through a tree of boxes over the welded triangles, inside by the winding numbers of libsvo. */
+#include "skeli_surface.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { LEAF = 4, GRID_DEPTH = 12 /* 2^20 lattice steps over two units */ };
+
+/* --- tree --------------------------------------------------------------------------------------------------------- */
+
+static void grow(float *box, const float *p)
+{
+    for (int k = 0; k < 3; k++) {
+        if (p[k] < box[k]) box[k] = p[k];
+        if (p[3 + k] > box[3 + k]) box[3 + k] = p[3 + k];
+    }
+}
+
+static svo_result make_tree(skeli_pool *pool, skeli_surface *s, svo_error *err)
+{
+    uint64_t n = (s->soup->triangle_count + LEAF - 1) / LEAF, nodes = 0;
+    s->levels = 0;
+    while (n > 0) {
+        s->first[s->levels] = nodes;
+        s->size[s->levels++] = n;
+        nodes += n;
+        n = n > 1 ? (n + 1) / 2 : 0;
+    }
+    s->box = skeli_take(pool, 6 * nodes, sizeof *s->box);
+    if (s->box == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 6 * nodes; i++) s->box[i] = i % 6 < 3 ? INFINITY : -INFINITY;
+    for (uint64_t t = 0; t < s->soup->triangle_count; t++)
+        for (uint64_t k = 0; k < 3; k++) {
+            const int32_t *q = s->soup->position + 3 * (uint64_t)s->soup->corner[3 * t + k];
+            const float p[6] = {(float)q[0], (float)q[1], (float)q[2], (float)q[0], (float)q[1], (float)q[2]};
+            grow(s->box + 6 * (t / LEAF), p);
+        }
+    for (uint32_t level = 1; level < s->levels; level++)
+        for (uint64_t i = 0; i < s->size[level - 1]; i++) grow(s->box + 6 * (s->first[level] + i / 2), s->box + 6 * (s->first[level - 1] + i));
+    return SVO_OK;
+}
+
+typedef struct place { uint32_t level, at; double key; } place;
+
+static double box_distance2(const float *box, const double *p)
+{
+    double d2 = 0;
+    for (int k = 0; k < 3; k++) {
+        double d = p[k] < box[k] ? box[k] - p[k] : p[k] > box[3 + k] ? p[k] - box[3 + k] : 0;
+        d2 += d * d;
+    }
+    return d2;
+}
+
+static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static void load(const skeli_soup *soup, uint64_t t, double p[3][3])
+{
+    for (uint64_t k = 0; k < 3; k++)
+        for (uint64_t e = 0; e < 3; e++) p[k][e] = soup->position[3 * (uint64_t)soup->corner[3 * t + k] + e];
+}
+
+/* Nearest point of a segment or, where the foot of the perpendicular is inside, of the triangle. */
+static double triangle_distance2(const double t[3][3], const double *p, double *nearest)
+{
+    double best = INFINITY, u[3], v[3], w[3];
+    for (int k = 0; k < 3; k++) {
+        u[k] = t[1][k] - t[0][k];
+        v[k] = t[2][k] - t[0][k];
+        w[k] = p[k] - t[0][k];
+    }
+    double uu = dot3(u, u), uv = dot3(u, v), vv = dot3(v, v), wu = dot3(w, u), wv = dot3(w, v), det = uu * vv - uv * uv;
+    if (det > 1e-12 * uu * vv) {
+        double a = (wu * vv - wv * uv) / det, b = (wv * uu - wu * uv) / det;
+        if (a >= 0 && b >= 0 && a + b <= 1) {
+            best = 0;
+            for (int k = 0; k < 3; k++) {
+                nearest[k] = t[0][k] + a * u[k] + b * v[k];
+                best += (p[k] - nearest[k]) * (p[k] - nearest[k]);
+            }
+            return best;
+        }
+    }
+    for (int e = 0; e < 3; e++) {
+        const double *a = t[e], *b = t[(e + 1) % 3];
+        double foot, d = skeli_segment_distance(p, a, b, &foot);
+        if (d * d >= best) continue;
+        best = d * d;
+        for (int k = 0; k < 3; k++) nearest[k] = a[k] + foot * (b[k] - a[k]);
+    }
+    return best;
+}
+
+double skeli_surface_distance(const skeli_surface *s, const double p[3], double most, double nearest[3])
+{
+    if (s->levels == 0) return most;
+    double best2 = most * most;
+    place stack[2 * SKELI_SURFACE_LEVELS];
+    int n = 0;
+    stack[n++] = (place){s->levels - 1, 0, box_distance2(s->box + 6 * s->first[s->levels - 1], p)};
+    while (n > 0) {
+        place top = stack[--n];
+        if (!(top.key < best2)) continue;
+        if (top.level == 0) {
+            uint64_t begin = (uint64_t)top.at * LEAF, end = begin + LEAF < s->soup->triangle_count ? begin + LEAF : s->soup->triangle_count;
+            for (uint64_t t = begin; t < end; t++) {
+                double corners[3][3], at[3];
+                load(s->soup, t, corners);
+                double d2 = triangle_distance2((const double(*)[3])corners, p, at);
+                if (d2 >= best2) continue;
+                best2 = d2;
+                if (nearest != NULL) memcpy(nearest, at, sizeof at);
+            }
+            continue;
+        }
+        place child[2];
+        int children = 0;
+        for (uint32_t k = 0; k < 2; k++) {
+            uint32_t at = 2 * top.at + k;
+            if (at >= s->size[top.level - 1]) break;
+            child[children++] = (place){top.level - 1, at, box_distance2(s->box + 6 * (s->first[top.level - 1] + at), p)};
+        }
+        if (children == 2 && child[0].key < child[1].key) { /* the nearer one on top */
+            stack[n++] = child[1];
+            stack[n++] = child[0];
+        } else {
+            for (int k = 0; k < children; k++) stack[n++] = child[k];
+        }
+    }
+    return sqrt(best2);
+}
+
+static double box_entry(const float *box, const double *p, const double *inverse, double most)
+{
+    double enter = 0, leave = most;
+    for (int k = 0; k < 3; k++) {
+        double a = (box[k] - p[k]) * inverse[k], b = (box[3 + k] - p[k]) * inverse[k];
+        if (a != a || b != b) continue; /* in the plane of a side, along it */
+        double low = a < b ? a : b, high = a < b ? b : a;
+        enter = low > enter ? low : enter;
+        leave = high < leave ? high : leave;
+    }
+    return enter <= leave * (1 + 1e-12) + 1e-9 ? enter : INFINITY;
+}
+
+static double triangle_hit(const double t[3][3], const double *p, const double *d)
+{
+    double u[3], v[3], w[3], q[3], r[3];
+    for (int k = 0; k < 3; k++) {
+        u[k] = t[1][k] - t[0][k];
+        v[k] = t[2][k] - t[0][k];
+        w[k] = p[k] - t[0][k];
+    }
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        q[k] = d[i] * v[j] - d[j] * v[i];
+        r[k] = w[i] * u[j] - w[j] * u[i];
+    }
+    double det = dot3(u, q);
+    if (det == 0) return INFINITY;
+    double a = dot3(w, q) / det, b = dot3(d, r) / det, at = dot3(v, r) / det;
+    return a >= -1e-9 && b >= -1e-9 && a + b <= 1 + 1e-9 && at > 0 ? at : INFINITY;
+}
+
+double skeli_surface_ray(const skeli_surface *s, const double p[3], const double d[3], double most)
+{
+    if (s->levels == 0) return most;
+    const double inverse[3] = {1 / d[0], 1 / d[1], 1 / d[2]};
+    place stack[2 * SKELI_SURFACE_LEVELS];
+    int n = 0;
+    stack[n++] = (place){s->levels - 1, 0, box_entry(s->box + 6 * s->first[s->levels - 1], p, inverse, most)};
+    while (n > 0) {
+        place top = stack[--n];
+        if (!(top.key < most)) continue;
+        if (top.level == 0) {
+            uint64_t begin = (uint64_t)top.at * LEAF, end = begin + LEAF < s->soup->triangle_count ? begin + LEAF : s->soup->triangle_count;
+            for (uint64_t t = begin; t < end; t++) {
+                double corners[3][3];
+                load(s->soup, t, corners);
+                double at = triangle_hit((const double(*)[3])corners, p, d);
+                if (at < most) most = at;
+            }
+            continue;
+        }
+        place child[2];
+        int children = 0;
+        for (uint32_t k = 0; k < 2; k++) {
+            uint32_t at = 2 * top.at + k;
+            if (at >= s->size[top.level - 1]) break;
+            child[children++] = (place){top.level - 1, at, box_entry(s->box + 6 * (s->first[top.level - 1] + at), p, inverse, most)};
+        }
+        if (children == 2 && child[0].key < child[1].key) {
+            stack[n++] = child[1];
+            stack[n++] = child[0];
+        } else {
+            for (int k = 0; k < children; k++) stack[n++] = child[k];
+        }
+    }
+    return most;
+}
+
+/* --- inside ------------------------------------------------------------------------------------------------------- */
+
+static svo_result make_winding(skeli_surface *s, const skel_report *r, uint32_t threads, const svo_allocator *a, svo_error *err)
+{
+    svo_grid grid = {.size = ldexp(r->unit, 1 - GRID_DEPTH), .depth = GRID_DEPTH};
+    if (!isfinite(1 / grid.size) || !(grid.size > 0)) return SVO_OK; /* sizes near the ends of what a double holds: nothing is inside */
+    for (int k = 0; k < 3; k++) grid.origin[k] = r->centre[k] - r->unit;
+    svo_winding_report w;
+    svo_bins_report ignored;
+    SVO_TRY(svo_placement_create(&s->mesh, a, &s->placement, err));
+    SVO_TRY(svo_bins_create(&s->placement, &grid, 4, UINT64_MAX, threads, a, &s->bins, &ignored, err));
+    SVO_TRY(svo_winding_create(s->bins, &s->placement, &grid, threads, a, &s->winding, &w, err));
+    s->turned = w.turned;
+    s->boundary_edges = w.boundary_edges;
+    return SVO_OK;
+}
+
+svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
+                              const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
+{
+    memset(s, 0, sizeof *s);
+    s->soup = soup;
+    SVO_TRY(make_tree(pool, s, err));
+    if (soup->triangle_count == 0) return SVO_OK;
+    /* a const model in a struct that has no const: nothing writes to it */
+    memcpy(&s->part.positions, &position, sizeof position);
+    memcpy(&s->part.indices, &corner, sizeof corner);
+    s->part.material = SVO_NONE;
+    s->part.vertex_count = points;
+    s->part.triangle_count = triangles;
+    s->shape = (svo_shape){.part_count = 1, .parts = &s->part};
+    s->instance = (svo_instance){.transform = svo_mat4_identity()};
+    s->mesh = (svo_mesh){.allocator = pool->allocator, .shape_count = 1, .instance_count = 1, .shapes = &s->shape, .instances = &s->instance};
+    return make_winding(s, report, threads, pool->allocator, err);
+}
+
+void skeli_surface_free(skeli_surface *s)
+{
+    svo_winding_free(s->winding);
+    svo_bins_free(s->bins);
+    svo_placement_free(&s->placement);
+    memset(s, 0, sizeof *s);
+}
+
+bool skeli_surface_inside(const skeli_surface *s, const double p[3])
+{
+    if (s->winding == NULL) return false;
+    int32_t q[3];
+    for (int k = 0; k < 3; k++) { /* 2^24 steps a unit to 2^19, even */
+        double x = (p[k] / SKEL_LATTICE + 1) * 0x1p18;
+        if (!(x > 0 && x < 0x1p19)) return false;
+        q[k] = 2 * (int32_t)x;
+    }
+    double margin;
+    return svo_winding_inside(s->winding, q, &margin);
+}
+
+/* --- genus -------------------------------------------------------------------------------------------------------- */
+
+svo_result skeli_surface_genus(skeli_pool *pool, const skeli_soup *soup, skeli_genus *out, svo_error *err)
+{
+    uint64_t n = soup->vertex_count, f = soup->triangle_count;
+    memset(out, 0, sizeof *out);
+    uint32_t *parent = skeli_take(pool, n, sizeof *parent), *edge = skeli_take(pool, 6 * f, sizeof *edge);
+    uint64_t *key = skeli_take(pool, 3 * f, sizeof *key);
+    int64_t *euler = skeli_take(pool, n, sizeof *euler);
+    uint8_t *open = skeli_take(pool, n, 1);
+    if (parent == NULL || edge == NULL || key == NULL || euler == NULL || open == NULL) return skeli_no_memory(err);
+    uint32_t *order = edge, *scratch = edge + 3 * f;
+    for (uint32_t v = 0; v < n; v++) parent[v] = v;
+    memset(open, 0, n);
+    memset(euler, 0, n * sizeof *euler);
+    for (uint64_t t = 0; t < f; t++) {
+        const uint32_t *c = soup->corner + 3 * t;
+        for (int k = 0; k < 3; k++) {
+            uint32_t a = c[k], b = c[(k + 1) % 3], p = skeli_root(parent, a), q = skeli_root(parent, b);
+            if (p != q) parent[p > q ? p : q] = p > q ? q : p;
+            key[3 * t + (uint64_t)k] = (uint64_t)(a < b ? a : b) << 32 | (a < b ? b : a);
+            order[3 * t + (uint64_t)k] = (uint32_t)(3 * t + (uint64_t)k);
+        }
+    }
+    uint32_t bits = 1;
+    while (n >> bits != 0) bits++;
+    skeli_sort_by64(order, scratch, 3 * f, key, 32 + bits);
+    for (uint64_t t = 0; t < f; t++) {
+        const uint32_t *c = soup->corner + 3 * t;
+        uint32_t r = skeli_root(parent, c[0]);
+        euler[r]++;
+        if (c[0] == c[1] || c[1] == c[2] || c[2] == c[0]) open[r] = 1;
+    }
+    for (uint64_t i = 0; i < 3 * f;) {
+        uint64_t end = i;
+        while (end < 3 * f && key[order[end]] == key[order[i]]) end++;
+        uint32_t r = skeli_root(parent, (uint32_t)(key[order[i]] >> 32));
+        euler[r]--;
+        if (end - i != 2) open[r] = 1;
+        i = end;
+    }
+    for (uint32_t v = 0; v < n; v++) euler[skeli_root(parent, v)]++;
+    out->known = true;
+    for (uint32_t v = 0; v < n; v++) {
+        if (parent[v] != v) continue;
+        out->components++;
+        if (open[v] || euler[v] > 2 || euler[v] % 2 != 0) {
+            out->known = false;
+            continue;
+        }
+        out->closed++;
+        out->genus += (uint64_t)(1 - euler[v] / 2);
+    }
+    skeli_give(pool, parent);
+    skeli_give(pool, edge);
+    skeli_give(pool, key);
+    skeli_give(pool, euler);
+    skeli_give(pool, open);
+    return SVO_OK;
+}

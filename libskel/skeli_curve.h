@@ -1,0 +1,45 @@
+/* Inside libskel: the curve while it is made, before it becomes a skeleton. */
+#ifndef SKELI_CURVE_H
+#define SKELI_CURVE_H
+
+#include "skeli_surface.h"
+
+typedef struct skeli_curve {
+    uint32_t joints;    /* welded ones first, then those made of leftover triangles */
+    uint32_t welded;
+    uint32_t *joint_of; /* mesh vertex -> joint */
+    uint32_t *bone;     /* 2 each, a < b, sorted and distinct, but for the steps in between */
+    uint64_t bones;
+    uint32_t *triangle; /* leftover, 3 each, sorted */
+    uint64_t triangles;
+    uint32_t *group_of; /* leftover triangle -> group */
+    uint32_t groups;
+    double *position;   /* joints, lattice steps */
+} skeli_curve;
+
+/* Bones of each joint: bone[start[j] .. start[j + 1]). */
+typedef struct skeli_fans { uint32_t *start, *bone; } skeli_fans;
+svo_result skeli_fans_make(skeli_pool *pool, const skeli_curve *c, skeli_fans *out, svo_error *err);
+void skeli_fans_free(skeli_pool *pool, skeli_fans *f);
+
+/* Chains of bones between joints that have not two of them: chain k is joint[start[k] .. start[k + 1]), its first and last such joints. A loop without one
+ * begins and ends at its lowest joint. */
+typedef struct skeli_chains { uint32_t count, *start, *joint; } skeli_chains;
+svo_result skeli_chains_make(skeli_pool *pool, const skeli_curve *c, skeli_chains *out, svo_error *err);
+void skeli_chains_free(skeli_pool *pool, skeli_chains *f);
+
+/* Merge every joint j into into[j] (which may be merged itself; no cycles), number what is left without gaps, drop bones that became points and double ones. */
+svo_result skeli_curve_merge(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, uint32_t *into, svo_error *err);
+/* Insert count[b] points (at point + 3 * first[b], from bone a to b) into bone b; vertices of a bone's joints go to the nearest of its points. */
+svo_result skeli_curve_insert(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, const uint32_t *count, const uint64_t *first, const double *point, svo_error *err);
+
+/* --- after the weld --- */
+/* A loop that can be filled by a disc inside the solid is none: its joints become one. */
+svo_result skeli_close_false_loops(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, skeli_curve *c, svo_error *err);
+/* Let bones follow the bends of their limb, put joints into the middle of the sections across them, bones inside the solid, ends where their ball touches
+ * the tip; drop branches that do not stick out. */
+svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err);
+/* Is most of the curve inside, so that "inside" means something? */
+bool skeli_mostly_inside(const skeli_surface *surface, const skeli_curve *c);
+
+#endif
