@@ -3,24 +3,19 @@
 
 #include <math.h>
 #include <string.h>
+#define XXH_STATIC_LINKING_ONLY
+#include <xxhash.h>
 
 #include "fmt_utf8.h"
-
-#define HEAD FMT_FOURCC('H', 'E', 'A', 'D')
-#define NAME FMT_FOURCC('N', 'A', 'M', 'E')
-#define PAGE FMT_FOURCC('P', 'A', 'G', 'E')
-#define IAST FMT_FOURCC('I', 'A', 'S', 'T')
-#define IXFM FMT_FOURCC('I', 'X', 'F', 'M')
-#define IIDS FMT_FOURCC('I', 'I', 'D', 'S')
-#define INAM FMT_FOURCC('I', 'N', 'A', 'M')
-#define CAMR FMT_FOURCC('C', 'A', 'M', 'R')
-#define ASET FMT_FOURCC('A', 'S', 'E', 'T')
-#define META FMT_TYPE_META
+#include "fmti_scene.h"
+#include "svo_deform.h"
+#include "svo_task.h"
 
 #define MAJOR 1
 #define HEAD_BYTES 80u
 #define CAMERA_BYTES 136u
 #define HAS_CAMERA 1u
+#define HAS_POSES 2u
 
 /* The page table is used as it lies in the file. */
 _Static_assert(sizeof(svo_scene_page) == 88 && offsetof(svo_scene_page, high) == 24 && offsetof(svo_scene_page, origin) == 48 &&
@@ -55,19 +50,25 @@ static svo_result check_names(const svo_scene *s, svo_result code, svo_error *er
 }
 
 /* Boxes of the assets' voxels, in grid coordinates: 6 doubles each, low then high. */
-static svo_result find_boxes(const svo_scene *s, svo_result code, const svo_allocator *a, double *boxes, svo_error *err)
+static svo_result find_boxes(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, double *boxes, svo_error *err)
 {
     for (uint32_t i = 0; i < s->asset_count; i++) {
         bool any;
         uint32_t low[3], high[3];
         SVO_TRY(svo_view_grid_bounds(s->assets[i], a, &any, low, high, err));
-        if (!any) return bad(err, code, ASET, i, "SCN-08", "the asset is empty");
-        for (int k = 0; k < 3; k++) boxes[6 * i + (uint32_t)k] = low[k], boxes[6 * i + 3 + (uint32_t)k] = (double)high[k] + 1;
+        if (!any && !partial) return bad(err, code, ASET, i, "SCN-08", "the asset is empty");
+        for (int k = 0; k < 3; k++) boxes[6 * i + (uint32_t)k] = any ? low[k] : 0, boxes[6 * i + 3 + (uint32_t)k] = any ? (double)high[k] + 1 : 0;
     }
     return SVO_OK;
 }
 
-static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes, bool *used, svo_result code, svo_error *err)
+typedef struct page_check {
+    const svo_scene *scene;
+    const double *boxes;
+    svo_result code;
+} page_check;
+
+static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes, svo_result code, svo_error *err)
 {
     const svo_scene_page *page = &s->pages[p];
     for (int k = 0; k < 3; k++)
@@ -76,35 +77,58 @@ static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes
     for (uint64_t i = page->first; i < page->first + page->count; i++) {
         uint32_t asset = s->instance_asset[i];
         if (asset >= s->asset_count) return bad(err, code, IAST, i, "SCN-06", "there is no such asset");
-        used[asset] = true;
-        svo_mat4 m = svo_scene_instance_transform(s, p, i), inverse, grid;
+        if (s->instance_pose != NULL && s->instance_pose[i] != SVO_NO_POSE && s->instance_pose[i] >= s->poses.count)
+            return bad(err, code, IPOS, i, "SCN-11", "there is no such pose");
+        svo_mat4 m = svo_scene_instance_transform(s, p, i), inverse;
         bool finite = true;
         for (int k = 0; k < 12; k++) finite = finite && isfinite(m.m[k]);
         if (!finite || !svo_mat4_affine_inverse(&m, &inverse))
             return bad(err, code, IXFM, i, "SCN-07", "the transform is not finite or not invertible");
-        memcpy(grid.m, s->assets[asset]->voxel_to_world, sizeof grid.m);
-        m = svo_mat4_mul(m, grid);
         double low[3], high[3];
-        svo_box_transform(&m, boxes + 6 * asset, boxes + 6 * asset + 3, 0, low, high);
-        for (int k = 0; k < 3; k++)
-            if (!(low[k] >= page->low[k]) || !(high[k] <= page->high[k]))
-                return bad(err, code, PAGE, p, "SCN-10", "the bounds do not hold all instances of the page");
+        bool posed = svo_scene_instance_pose(s, i) != NULL, good = svo_scene_instance_bounds(s, p, i, boxes + 6 * asset, boxes + 6 * asset + 3, low, high);
+        for (int k = 0; k < 3; k++) {
+            /* sines and cosines differ in their last bits between machines */
+            double slack = posed ? 1e-9 * fmax(fabs(low[k]), fabs(high[k])) : 0;
+            good = good && low[k] >= page->low[k] - slack && high[k] <= page->high[k] + slack;
+        }
+        if (!good) return bad(err, code, PAGE, p, "SCN-10", "the bounds do not hold all instances of the page");
     }
     return SVO_OK;
 }
 
-static svo_result check_pages(const svo_scene *s, const double *boxes, bool *used, svo_result code, svo_error *err)
+static svo_result check_page_range(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    const page_check *c = user;
+    for (uint64_t p = begin; p < end; p++) SVO_TRY(check_page(c->scene, (uint32_t)p, c->boxes, c->code, err));
+    return SVO_OK;
+}
+
+static svo_result check_pages(const svo_scene *s, const double *boxes, bool *used, bool partial, svo_result code, svo_error *err)
 {
     uint64_t next = 0;
     for (uint32_t p = 0; p < s->page_count; p++) {
         if (s->pages[p].first != next || s->pages[p].count == 0 || s->pages[p].count > s->instance_count - next)
             return bad(err, code, PAGE, p, "SCN-04", "the page does not follow the one before it");
         next += s->pages[p].count;
-        SVO_TRY(check_page(s, p, boxes, used, code, err));
     }
     if (next != s->instance_count) return bad(err, code, PAGE, s->page_count, "SCN-04", "the pages do not hold all instances");
-    for (uint32_t a = 0; a < s->asset_count; a++)
+    page_check check = {s, boxes, code};
+    SVO_TRY(svo_parallel_for(0, s->page_count, 4, check_page_range, &check, err));
+    for (uint64_t i = 0; i < s->instance_count; i++) used[s->instance_asset[i]] = true;
+    for (uint32_t a = 0; a < s->asset_count && !partial; a++)
         if (!used[a]) return bad(err, code, ASET, a, "SCN-06", "no instance uses the asset");
+    return SVO_OK;
+}
+
+static svo_result check_poses(const svo_scene *s, svo_result code, svo_error *err)
+{
+    for (uint64_t i = 0; i < 12 * s->poses.matrix_count; i++)
+        if (!isfinite(s->poses.matrix[i])) return bad(err, code, PMAT, i / 12, "SCN-12", "a matrix is not finite");
+    for (uint32_t i = 0; i < s->poses.count; i++) {
+        const char *fault = svo_pose_fault(&s->poses, &s->poses.pose[i]);
+        if (fault != NULL) return bad(err, code, POSE, i, "SCN-12", fault);
+    }
     return SVO_OK;
 }
 
@@ -122,17 +146,18 @@ static svo_result check_camera(const svo_scene *s, svo_result code, svo_error *e
     return SVO_OK;
 }
 
-static svo_result check_scene(const svo_scene *s, svo_result code, const svo_allocator *a, svo_error *err)
+svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, svo_error *err)
 {
     SVO_TRY(check_names(s, code, err));
+    SVO_TRY(check_poses(s, code, err));
     SVO_TRY(check_camera(s, code, err));
     if (s->asset_count == 0 && s->instance_count != 0) return bad(err, code, HEAD, 0, "SCN-06", "instances without assets");
     if (s->asset_count == 0) return s->page_count == 0 ? SVO_OK : bad(err, code, PAGE, 0, "SCN-04", "a page without instances");
     double *boxes = svo_alloc(a, s->asset_count, 6 * sizeof *boxes);
     bool *used = svo_calloc(a, s->asset_count, sizeof *used);
     svo_result result = boxes == NULL || used == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %u assets", s->asset_count) : SVO_OK;
-    if (result == SVO_OK) result = find_boxes(s, code, a, boxes, err);
-    if (result == SVO_OK) result = check_pages(s, boxes, used, code, err);
+    if (result == SVO_OK) result = find_boxes(s, partial, code, a, boxes, err);
+    if (result == SVO_OK) result = check_pages(s, boxes, used, partial, code, err);
     svo_free(a, boxes, s->asset_count, 6 * sizeof *boxes);
     svo_free(a, used, s->asset_count, sizeof *used);
     return result;
@@ -184,20 +209,49 @@ static svo_result build_head(scene_writer *w, const svo_scene *s, svo_error *err
     fmt_store32(head + 4, s->page_count);
     fmt_store64(head + 8, s->instance_count);
     fmt_store64(head + 16, w->names.size);
-    fmt_store32(head + 24, s->has_camera ? HAS_CAMERA : 0);
+    fmt_store32(head + 24, (s->has_camera ? HAS_CAMERA : 0) | (s->instance_pose != NULL ? HAS_POSES : 0));
     memcpy(head + 32, bounds, sizeof bounds);
     return SVO_OK;
 }
 
-static svo_result put_instances(scene_writer *w, const svo_scene *s, fmt_scene_bytes *bytes, svo_error *err)
+uint64_t fmti_scene_page_hash(const svo_scene *s, uint32_t page)
+{
+    uint64_t first = s->pages[page].first, n = s->pages[page].count;
+    XXH3_state_t state;
+    XXH3_64bits_reset(&state);
+    XXH3_64bits_update(&state, &s->pages[page], sizeof s->pages[page]);
+    XXH3_64bits_update(&state, s->instance_asset + first, n * 4);
+    XXH3_64bits_update(&state, s->instance_transform + 12 * first, n * 48);
+    XXH3_64bits_update(&state, s->instance_id + first, n * 8);
+    if (s->instance_name != NULL) XXH3_64bits_update(&state, s->instance_name + first, n * 4);
+    if (s->instance_pose != NULL) XXH3_64bits_update(&state, s->instance_pose + first, n * 4);
+    return XXH3_64bits_digest(&state);
+}
+
+static svo_result put_page_hashes(scene_writer *w, const svo_scene *s, const svo_allocator *a, fmt_scene_bytes *bytes, svo_error *err)
+{
+    uint64_t *hash = svo_alloc(a, s->page_count, sizeof *hash);
+    if (hash == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the pages of a scene");
+    for (uint32_t p = 0; p < s->page_count; p++) hash[p] = fmti_scene_page_hash(s, p);
+    svo_result result = put(w, PHSH, 0, hash, s->page_count, 8, &bytes->pages, err);
+    svo_free(a, hash, s->page_count, sizeof *hash);
+    return result;
+}
+
+static svo_result put_instances(scene_writer *w, const svo_scene *s, const svo_allocator *a, fmt_scene_bytes *bytes, svo_error *err)
 {
     uint64_t n = s->instance_count;
     if (n == 0) return SVO_OK;
     SVO_TRY(put(w, PAGE, 0, s->pages, s->page_count, sizeof *s->pages, &bytes->pages, err));
+    SVO_TRY(put_page_hashes(w, s, a, bytes, err));
     SVO_TRY(put(w, IAST, 0, s->instance_asset, n, 4, &bytes->instances, err));
     SVO_TRY(put(w, IXFM, 0, s->instance_transform, n, 48, &bytes->instances, err));
     SVO_TRY(put(w, IIDS, 0, s->instance_id, n, 8, &bytes->instances, err));
     if (s->instance_name != NULL) SVO_TRY(put(w, INAM, 0, s->instance_name, n, 4, &bytes->names, err));
+    if (s->instance_pose == NULL) return SVO_OK;
+    SVO_TRY(put(w, IPOS, 0, s->instance_pose, n, 4, &bytes->poses, err));
+    SVO_TRY(put(w, POSE, 0, s->poses.pose, s->poses.count, sizeof *s->poses.pose, &bytes->poses, err));
+    if (s->poses.matrix_count != 0) SVO_TRY(put(w, PMAT, 0, s->poses.matrix, s->poses.matrix_count, 48, &bytes->poses, err));
     return SVO_OK;
 }
 
@@ -225,7 +279,7 @@ static svo_result put_all(scene_writer *w, const svo_scene *s, const char *prove
     SVO_TRY(build_head(w, s, err));
     SVO_TRY(put(w, HEAD, 0, w->head.data, w->head.size, 0, &bytes->rest, err));
     SVO_TRY(put(w, NAME, 0, w->names.data, w->names.size, 1, &bytes->names, err));
-    SVO_TRY(put_instances(w, s, bytes, err));
+    SVO_TRY(put_instances(w, s, a, bytes, err));
     if (s->has_camera) {
         double camera[17];
         memcpy(camera, s->camera_transform.m, sizeof s->camera_transform.m);
@@ -240,7 +294,7 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
                            fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err)
 {
     fmt_scene_bytes sizes = {0};
-    SVO_TRY(check_scene(scene, SVO_INVALID_ARGUMENT, a, err));
+    SVO_TRY(fmti_scene_check(scene, false, SVO_INVALID_ARGUMENT, a, err));
     uint64_t before = fmt_output_offset(out);
     scene_writer w = {.out = out};
     svo_buffer_init(&w.head, a);
@@ -252,14 +306,14 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
     svo_buffer_free(&w.head);
     svo_buffer_free(&w.names);
     if (result != SVO_OK) return result;
-    sizes.rest = fmt_output_offset(out) - before - sizes.assets - sizes.instances - sizes.pages - sizes.names;
+    sizes.rest = fmt_output_offset(out) - before - sizes.assets - sizes.instances - sizes.pages - sizes.names - sizes.poses;
     if (bytes != NULL) *bytes = sizes;
     return SVO_OK;
 }
 
 /* ---- reading ---- */
 
-static const uint32_t chunk_order[] = {HEAD, NAME, PAGE, IAST, IXFM, IIDS, INAM, CAMR, ASET, META};
+static const uint32_t chunk_order[] = {HEAD, NAME, PAGE, PHSH, IAST, IXFM, IIDS, INAM, IPOS, POSE, PMAT, CAMR, ASET, META};
 #define CHUNK_TYPES (sizeof chunk_order / sizeof chunk_order[0])
 
 static svo_result check_order(const fmt_container *c, svo_error *err)
@@ -284,8 +338,9 @@ static svo_result check_order(const fmt_container *c, svo_error *err)
 
 /* The payload of the only chunk of a type, checked to hold `count` elements of `stride` bytes (stride 0: count bytes). Where
  * count is 0 the chunk must be missing, and *bytes is NULL. */
-static svo_result take(const fmt_container *c, uint32_t type, uint64_t count, uint32_t stride, const uint8_t **bytes, svo_error *err)
+static svo_result take(const fmt_scene *f, uint32_t type, uint64_t count, uint32_t stride, const uint8_t **bytes, svo_error *err)
 {
+    const fmt_container *c = &f->container;
     const fmt_chunk *k = fmt_container_find(c, type, true, 0);
     *bytes = NULL;
     if (k == NULL && count == 0) return SVO_OK;
@@ -296,6 +351,19 @@ static svo_result take(const fmt_container *c, uint32_t type, uint64_t count, ui
     if (!fits || k->element_stride != stride || k->element_count != (stride != 0 ? count : 0))
         return bad(err, SVO_INVALID_DATA, type, 0, "SCN-02", "wrong size or element count");
     return fmt_container_payload(c, k, bytes, err);
+}
+
+/* The same for an array over instances. With `damage` its hash may be wrong: pages have hashes of their own. */
+static svo_result take_instances(const fmt_scene *f, uint32_t type, uint32_t stride, fmti_scene_damage *damage, const uint8_t **bytes, svo_error *err)
+{
+    svo_result result = take(f, type, f->scene.instance_count, stride, bytes, err);
+    const fmt_chunk *k = fmt_container_find(&f->container, type, true, 0);
+    if (result == SVO_OK || damage == NULL || k == NULL || k->element_count != f->scene.instance_count || k->element_stride != stride ||
+        k->stored_size / stride != k->element_count)
+        return result;
+    damage->arrays = true;
+    *bytes = f->container.data + k->offset;
+    return SVO_OK;
 }
 
 typedef struct head {
@@ -321,7 +389,7 @@ static svo_result read_head(fmt_scene *f, head *h, svo_error *err)
     memcpy(h->bounds, b + 32, sizeof h->bounds);
     h->asset_names = b + HEAD_BYTES;
     if ((k->stored_size - HEAD_BYTES) / 4 != h->assets || k->stored_size % 4 != 0) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "wrong size");
-    if ((h->flags & ~HAS_CAMERA) != 0 || fmt_load32(b + 28) != 0)
+    if ((h->flags & ~(HAS_CAMERA | HAS_POSES)) != 0 || fmt_load32(b + 28) != 0)
         return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-02", "unknown flags, or a reserved field that is not 0");
     uint64_t stored = 0;
     for (uint32_t i = 0; i < f->container.chunk_count; i++) stored += f->container.chunks[i].type == ASET;
@@ -329,19 +397,33 @@ static svo_result read_head(fmt_scene *f, head *h, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result read_arrays(fmt_scene *f, const head *h, svo_error *err)
+static svo_result read_arrays(fmt_scene *f, const head *h, fmti_scene_damage *damage, svo_error *err)
 {
     const fmt_container *c = &f->container;
     svo_scene *s = &f->scene;
-    const uint8_t *names, *pages, *assets, *transforms, *ids, *name = NULL, *camera;
-    SVO_TRY(take(c, NAME, h->names_size, 1, &names, err));
+    const uint8_t *names, *pages, *hashes = NULL, *assets, *transforms, *ids, *name = NULL, *pose = NULL, *poses = NULL, *matrices = NULL, *camera;
+    SVO_TRY(take(f, NAME, h->names_size, 1, &names, err));
     if (names == NULL) return bad(err, SVO_INVALID_DATA, NAME, 0, "SCN-03", "missing");
-    SVO_TRY(take(c, PAGE, s->page_count, sizeof(svo_scene_page), &pages, err));
-    SVO_TRY(take(c, IAST, s->instance_count, 4, &assets, err));
-    SVO_TRY(take(c, IXFM, s->instance_count, 48, &transforms, err));
-    SVO_TRY(take(c, IIDS, s->instance_count, 8, &ids, err));
-    if (fmt_container_find(c, INAM, true, 0) != NULL) SVO_TRY(take(c, INAM, s->instance_count, 4, &name, err));
-    SVO_TRY(take(c, CAMR, (h->flags & HAS_CAMERA) != 0 ? CAMERA_BYTES : 0, 0, &camera, err));
+    SVO_TRY(take(f, PAGE, s->page_count, sizeof(svo_scene_page), &pages, err));
+    if (fmt_container_find(c, PHSH, true, 0) != NULL) SVO_TRY(take(f, PHSH, s->page_count, 8, &hashes, err));
+    else damage = NULL; /* no page can be told from another */
+    SVO_TRY(take_instances(f, IAST, 4, damage, &assets, err));
+    SVO_TRY(take_instances(f, IXFM, 48, damage, &transforms, err));
+    SVO_TRY(take_instances(f, IIDS, 8, damage, &ids, err));
+    if (fmt_container_find(c, INAM, true, 0) != NULL) SVO_TRY(take_instances(f, INAM, 4, damage, &name, err));
+    const fmt_chunk *k = fmt_container_find(c, POSE, true, 0), *m = fmt_container_find(c, PMAT, true, 0);
+    bool posed = (h->flags & HAS_POSES) != 0;
+    if (posed && (k == NULL || k->element_count > UINT32_MAX)) return bad(err, SVO_INVALID_DATA, POSE, 0, "SCN-02", "missing, or too many");
+    if (posed) {
+        SVO_TRY(take_instances(f, IPOS, 4, damage, &pose, err));
+        SVO_TRY(take(f, POSE, k->element_count, sizeof(svo_pose), &poses, err));
+        if (m != NULL) SVO_TRY(take(f, PMAT, m->element_count, 48, &matrices, err));
+        s->poses = (svo_poses){.count = (uint32_t)k->element_count, .pose = (const svo_pose *)(const void *)poses, .matrix_count = m != NULL ? m->element_count : 0,
+                               .matrix = (const float *)(const void *)matrices};
+        s->instance_pose = (const uint32_t *)(const void *)pose;
+    } else if (k != NULL || m != NULL || fmt_container_find(c, IPOS, true, 0) != NULL) return bad(err, SVO_INVALID_DATA, POSE, 0, "SCN-02", "poses that HEAD does not have");
+    SVO_TRY(take(f, CAMR, (h->flags & HAS_CAMERA) != 0 ? CAMERA_BYTES : 0, 0, &camera, err));
+    f->page_hashes = hashes;
     s->names = (const char *)names;
     s->names_size = h->names_size;
     s->pages = (const svo_scene_page *)(const void *)pages;
@@ -357,7 +439,24 @@ static svo_result read_arrays(fmt_scene *f, const head *h, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result read_assets(fmt_scene *f, const head *h, svo_error *err)
+static svo_result check_page_hashes(const fmt_scene *f, fmti_scene_damage *damage, svo_error *err)
+{
+    const svo_scene *s = &f->scene;
+    uint64_t next = 0;
+    for (uint32_t p = 0; p < s->page_count && f->page_hashes != NULL; p++) {
+        const svo_scene_page *page = &s->pages[p];
+        if (page->first != next || page->count == 0 || page->count > s->instance_count - next)
+            return bad(err, SVO_INVALID_DATA, PAGE, p, "SCN-04", "the page does not follow the one before it");
+        next += page->count;
+        bool same = fmti_scene_page_hash(s, p) == fmt_load64(f->page_hashes + 8 * (uint64_t)p);
+        if (same) continue;
+        if (damage == NULL) return bad(err, SVO_INVALID_DATA, PHSH, p, "SCN-13", "the page is not what was written");
+        SVO_TRY(fmti_scene_damage_page(damage, s->page_count, p, err));
+    }
+    return SVO_OK;
+}
+
+static svo_result read_assets(fmt_scene *f, const head *h, fmti_scene_damage *damage, svo_error *err)
 {
     if (h->assets == 0) return SVO_OK;
     /* The number is believed: that many ASET chunks are in the file. */
@@ -377,10 +476,13 @@ static svo_result read_assets(fmt_scene *f, const head *h, svo_error *err)
         if (!name_start(&f->scene, name)) return bad(err, SVO_INVALID_DATA, HEAD, a, "SCN-03", "an asset's name is not the start of a name");
         f->asset_names[a] = f->scene.names + name;
         const uint8_t *bytes;
-        SVO_TRY(fmt_container_payload(&f->container, k, &bytes, err));
-        svo_error inner;
-        svo_result result = fmt_svdag_open(bytes, k->stored_size, f->allocator, &f->assets[a], &inner);
-        if (result != SVO_OK) {
+        svo_error inner = {0};
+        svo_result result = fmt_container_payload(&f->container, k, &bytes, &inner);
+        if (result == SVO_OK) result = fmt_svdag_open(bytes, k->stored_size, f->allocator, &f->assets[a], &inner);
+        if (result == SVO_INVALID_DATA && damage != NULL) {
+            f->assets[a].view.empty = true; /* nothing is drawn of it */
+            damage->assets++;
+        } else if (result != SVO_OK) {
             svo_fail(err, result, "ASET %u: %s", a, inner.message);
             if (err != NULL) err->chunk = ASET, err->index = a, err->offset = k->offset + inner.offset;
             return result;
@@ -391,7 +493,7 @@ static svo_result read_assets(fmt_scene *f, const head *h, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result read_all(fmt_scene *f, svo_error *err)
+static svo_result read_all(fmt_scene *f, fmti_scene_damage *damage, svo_error *err)
 {
     if (f->container.kind != FMT_KIND_SCENE) return svo_fail(err, SVO_INVALID_DATA, "not an .svscene file, but another kind of svokit file");
     if (f->container.major != MAJOR)
@@ -399,30 +501,47 @@ static svo_result read_all(fmt_scene *f, svo_error *err)
     head h;
     SVO_TRY(check_order(&f->container, err));
     SVO_TRY(read_head(f, &h, err));
-    SVO_TRY(read_arrays(f, &h, err));
-    SVO_TRY(read_assets(f, &h, err));
+    SVO_TRY(read_arrays(f, &h, damage, err));
+    if (damage != NULL) SVO_TRY(check_page_hashes(f, damage, err));
+    SVO_TRY(read_assets(f, &h, damage, err));
     SVO_TRY(fmt_container_meta(&f->container, f->allocator, &f->provenance, err));
-    SVO_TRY(check_scene(&f->scene, SVO_INVALID_DATA, f->allocator, err));
     double bounds[6] = {0};
     if (f->scene.page_count != 0) svo_scene_bounds(&f->scene, bounds, bounds + 3);
+    bool partial = damage != NULL && (damage->pages != 0 || damage->assets != 0);
+    if (partial) SVO_TRY(fmti_scene_drop_damaged(f, damage, err));
+    SVO_TRY(fmti_scene_check(&f->scene, partial, SVO_INVALID_DATA, f->allocator, err));
     for (int k = 0; k < 6; k++)
         if (h.bounds[k] != bounds[k]) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-05", "the bounds are not the union of the pages'");
-    return SVO_OK;
+    return damage != NULL ? SVO_OK : check_page_hashes(f, NULL, err);
 }
 
-svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err)
+static svo_result open_scene(const uint8_t *data, uint64_t size, const svo_allocator *a, fmti_scene_damage *damage, fmt_scene *out, svo_error *err)
 {
     fmt_scene f;
     memset(&f, 0, sizeof f);
     f.allocator = a;
     SVO_TRY(fmt_container_open(data, size, a, &f.container, err));
-    svo_result result = read_all(&f, err);
+    svo_result result = read_all(&f, damage, err);
     if (result != SVO_OK) {
         fmt_scene_close(&f);
         return result;
     }
     *out = f;
     return SVO_OK;
+}
+
+svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err)
+{
+    return open_scene(data, size, a, NULL, out, err);
+}
+
+svo_result fmt_scene_open_partly(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, fmt_scene_loss *loss, svo_error *err)
+{
+    fmti_scene_damage damage = {.allocator = a};
+    svo_result result = open_scene(data, size, a, &damage, out, err);
+    if (result == SVO_OK) *loss = (fmt_scene_loss){.pages = damage.pages, .assets = damage.assets, .instances = damage.instances};
+    fmti_scene_damage_free(&damage);
+    return result;
 }
 
 void fmt_scene_close(fmt_scene *s)
@@ -433,6 +552,7 @@ void fmt_scene_close(fmt_scene *s)
     svo_free(s->allocator, s->views, s->scene.asset_count, sizeof *s->views);
     svo_free(s->allocator, s->asset_names, s->scene.asset_count, sizeof *s->asset_names);
     fmt_meta_free(s->allocator, s->provenance);
+    for (int i = 0; i < FMT_SCENE_ARRAYS; i++) svo_buffer_free(&s->copies[i]);
     fmt_container_close(&s->container);
     memset(s, 0, sizeof *s);
 }

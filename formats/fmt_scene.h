@@ -12,7 +12,7 @@ extern "C" {
 
 /* Bytes of a written scene by part; payloads with their chunk headers and padding. */
 typedef struct fmt_scene_bytes {
-    uint64_t assets, instances, pages, names, rest; /* rest: header, HEAD, camera, META, table, footer */
+    uint64_t assets, instances, pages, names, poses, rest; /* rest: header, HEAD, camera, META, table, footer */
 } fmt_scene_bytes;
 
 /* Write a scene (pages as svo_pack made them, or a mapped scene again). It is checked as fmt_scene_open checks a file,
@@ -21,6 +21,8 @@ typedef struct fmt_scene_bytes {
  * provenance (JSON text, may be NULL), same bytes. bytes, and asset_bytes (scene->asset_count sizes of the images), may be NULL. */
 svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
                            fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err);
+
+enum { FMT_SCENE_ARRAYS = 6 };
 
 /* An opened file. Arrays of `scene` point into the file's bytes, which must outlive it. All hashes are checked,
  * every asset is opened by fmt_svdag_open, and every rule of docs/format/svscene.md holds when this returns SVO_OK.
@@ -33,9 +35,15 @@ typedef struct fmt_scene {
     const svo_view **views;
     const char **asset_names;
     char *provenance; /* JSON text or "" */
+    const uint8_t *page_hashes;
+    svo_buffer copies[FMT_SCENE_ARRAYS]; /* of the arrays of a scene opened partly, without what is damaged */
     const svo_allocator *allocator;
 } fmt_scene;
 svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err);
+/* The same, but what is damaged is left out: pages whose bytes are not those that were written (each page has a hash of its own), assets that cannot be opened,
+ * and instances of such assets. The rest is checked as ever; damage to anything else is an error. */
+typedef struct fmt_scene_loss { uint64_t pages, assets, instances; } fmt_scene_loss;
+svo_result fmt_scene_open_partly(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, fmt_scene_loss *loss, svo_error *err);
 /* Zeroes *s; a zeroed one is fine. */
 void fmt_scene_close(fmt_scene *s);
 

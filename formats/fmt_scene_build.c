@@ -350,6 +350,7 @@ static svo_result load_description(fmt_scene_build *b, const char *path, const f
     if (measure) warn_coarse(b);
     b->input.place_count = j->place_count;
     b->input.places = j->places;
+    b->input.poses = j->poses;
     b->input.names = j->names;
     b->input.names_size = j->names_size;
     b->input.has_camera = j->has_camera;

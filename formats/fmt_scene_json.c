@@ -10,6 +10,7 @@
 
 #include "fmt_memory.h"
 #include "fmt_utf8.h"
+#include "fmti_pose_json.h"
 #include "svo_mesh.h"
 #include "svo_text.h"
 
@@ -27,7 +28,9 @@ typedef struct parser {
     uint64_t *first_use; /* instance that first named an asset, +1; 0 = none; `slots` / 2 entries */
     uint32_t *slot;      /* open addressing: asset number + 1 */
     uint32_t slots;      /* power of two, more than twice the assets */
-    bool seen_assets, seen_instances;
+    bool seen_assets, seen_instances, seen_poses;
+    svo_buffer poses, matrices;
+    svo_buffer pose_names;   /* uint32_t each: offset into `names` of the name of shared pose i */
     fmt_scene_json *out;
     char where[96]; /* path of the element in work, e.g. instances[3] */
 } parser;
@@ -111,7 +114,7 @@ static svo_result load_key(parser *p, char key[40])
     while (p->at < p->size && p->text[p->at] != '"' && (unsigned char)p->text[p->at] >= 0x20 && p->text[p->at] != '\\' && p->at - begin < 32) p->at++;
     if (p->at >= p->size) return syntax(p, "the file ends within a key");
     snprintf(key, 40, "%.*s", (int)(p->at - begin), p->text + begin);
-    if (p->text[p->at] != '"') return wrong(p, "", "a key of the outer object is none of assets, instances, camera");
+    if (p->text[p->at] != '"') return wrong(p, "", "a key of the outer object is none of assets, poses, instances, camera");
     p->at++;
     if (!accept(p, ':')) return syntax(p, "':' is expected after a key");
     return SVO_OK;
@@ -259,6 +262,63 @@ static svo_result read_asset(parser *p, const json_t *o)
     return asset->file != NULL ? SVO_OK : no_memory(p);
 }
 
+/* ---- poses ---- */
+
+static svo_result read_pose(parser *p, const char *key, const json_t *o, const char **name, svo_pose *pose)
+{
+    fmti_pose_fault fault = {{0}, NULL};
+    svo_result result = fmti_pose_parse(o, &p->matrices, pose, name, &fault);
+    if (result == SVO_OUT_OF_MEMORY) return no_memory(p);
+    if (p->matrices.size / 64 > p->size + (1u << 20)) return svo_fail(p->err, SVO_LIMIT, "the bones of all poses take too much memory: give their numbers without large gaps");
+    if (result == SVO_OK) return SVO_OK;
+    char path[80];
+    snprintf(path, sizeof path, "%s%s%.64s", key, key[0] != 0 && fault.key[0] != 0 ? "." : "", fault.key);
+    return wrong(p, path, fault.what);
+}
+
+static svo_result add_pose(parser *p, const svo_pose *pose, uint32_t *number)
+{
+    uint64_t n = p->poses.size / sizeof *pose;
+    if (n >= UINT32_MAX - 1) return svo_fail(p->err, SVO_LIMIT, "more than 2^32 - 2 poses");
+    *number = (uint32_t)n;
+    return svo_buffer_append(&p->poses, pose, sizeof *pose) != NULL ? SVO_OK : no_memory(p);
+}
+
+/* An element of "poses": a pose with a name, for instances to share. */
+static svo_result read_shared_pose(parser *p, const json_t *o)
+{
+    const char *name = NULL;
+    svo_pose pose;
+    uint32_t number, offset = (uint32_t)p->names.size;
+    SVO_TRY(read_pose(p, "", o, &name, &pose));
+    if (name == NULL || name[0] == 0) return wrong(p, "name", "missing or empty");
+    if (p->seen_instances) return wrong(p, "name", "poses come before the instances that share them");
+    if (p->names.size + strlen(name) + 1 > UINT32_MAX) return svo_fail(p->err, SVO_LIMIT, "the names take more than 4 GiB");
+    SVO_TRY(add_pose(p, &pose, &number));
+    bool stored = svo_buffer_append(&p->names, name, strlen(name) + 1) != NULL && svo_buffer_append(&p->pose_names, &offset, sizeof offset) != NULL;
+    return stored ? SVO_OK : no_memory(p);
+}
+
+/* null, the name of a shared pose, or a pose of its own. *out is its number + 1. */
+static svo_result instance_pose(parser *p, const json_t *value, uint32_t *out)
+{
+    if (json_is_null(value)) return SVO_OK;
+    uint32_t number = 0;
+    const char *name = json_string_value(value);
+    if (name == NULL) {
+        svo_pose pose;
+        SVO_TRY(read_pose(p, "pose", value, NULL, &pose));
+        SVO_TRY(add_pose(p, &pose, &number));
+    } else {
+        const uint32_t *offset = (const uint32_t *)(const void *)p->pose_names.data;
+        uint32_t count = (uint32_t)(p->pose_names.size / sizeof *offset);
+        while (number < count && strcmp((const char *)p->names.data + offset[number], name) != 0) number++;
+        if (number == count) return wrong(p, "pose", "there is no pose of that name (poses come before instances)");
+    }
+    *out = number + 1;
+    return SVO_OK;
+}
+
 /* ---- instances ---- */
 
 static svo_result read_instance(parser *p, const json_t *o)
@@ -277,11 +337,7 @@ static svo_result read_instance(parser *p, const json_t *o)
             if (!json_is_integer(value) || json_integer_value(value) < 0) return wrong(p, key, "an integer from 0 to 2^63 - 1 is expected");
             place.id = (uint64_t)json_integer_value(value);
         } else if (strcmp(key, "pose") == 0) {
-            if (!json_is_null(value)) {
-                wrong(p, key, "poses are not supported; null is");
-                if (p->err != NULL) p->err->code = SVO_UNSUPPORTED;
-                return SVO_UNSUPPORTED;
-            }
+            SVO_TRY(instance_pose(p, value, &place.pose));
         } else {
             SVO_TRY(transform_key(p, key, value, &keys, &taken));
             if (!taken) return wrong(p, key, "unknown key");
@@ -390,6 +446,11 @@ static svo_result read_member(parser *p, const char *key)
         p->seen_instances = true;
         return read_array(p, "instances", read_instance);
     }
+    if (strcmp(key, "poses") == 0) {
+        if (p->seen_poses) return wrong(p, key, "twice");
+        p->seen_poses = true;
+        return read_array(p, "poses", read_shared_pose);
+    }
     if (strcmp(key, "camera") != 0) return wrong(p, key, "unknown key");
     if (p->out->has_camera) return wrong(p, key, "twice");
     snprintf(p->where, sizeof p->where, "camera");
@@ -439,11 +500,15 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     svo_buffer_init(&p.places, a);
     svo_buffer_init(&p.names, a);
     uint64_t failures = fmt_json_failures();
+    svo_buffer_init(&p.poses, a);
+    svo_buffer_init(&p.matrices, a);
+    svo_buffer_init(&p.pose_names, a);
     svo_result result = read_all(&p);
     if (fmt_json_failures() != failures) result = no_memory(&p); /* whatever it said */
     svo_free(a, p.slot, p.slots, sizeof *p.slot);
     svo_free(a, p.first_use, p.slots / 2, sizeof *p.first_use);
-    scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names;
+    scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names, scene.storage[3] = p.poses, scene.storage[4] = p.matrices;
+    svo_buffer_free(&p.pose_names);
     scene.asset_count = asset_count(&p);
     scene.assets = (fmt_scene_json_asset *)(void *)p.assets.data;
     if (result != SVO_OK) {
@@ -454,6 +519,8 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     scene.place_count = p.places.size / sizeof(svo_place);
     scene.names = (const char *)p.names.data;
     scene.names_size = p.names.size;
+    scene.poses = (svo_poses){.count = (uint32_t)(p.poses.size / sizeof(svo_pose)), .pose = (const svo_pose *)(const void *)p.poses.data,
+                              .matrix_count = p.matrices.size / (12 * sizeof(float)), .matrix = (const float *)(const void *)p.matrices.data};
     *out = scene;
     return SVO_OK;
 }
@@ -465,7 +532,7 @@ void fmt_scene_json_free(fmt_scene_json *s)
         svo_string_free(s->allocator, s->assets[i].name);
         svo_string_free(s->allocator, s->assets[i].file);
     }
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < 5; i++)
         if (s->storage[i].data != NULL) svo_buffer_free(&s->storage[i]);
     memset(s, 0, sizeof *s);
 }

@@ -24,16 +24,18 @@ typedef struct fmt_scene_json {
     const svo_place *places;
     const char *names; /* the instances' names; offset 0 is "" */
     uint64_t names_size;
+    svo_poses poses; /* as stated */
     bool has_camera;
     svo_mat4 camera_transform;
     double camera_yfov;
-    svo_buffer storage[3]; /* private: assets, places, names */
+    svo_buffer storage[5]; /* private: assets, places, names, poses, matrices */
 } fmt_scene_json;
 
 /* Parse `size` bytes of UTF-8. Every rule is checked: unknown keys, wrong types, numbers that are not finite, paths that
  * leave the folder, unknown and duplicate assets are SVO_INVALID_DATA with the path of the key (and the line, for
- * errors of syntax) in the message; a pose that is not null is SVO_UNSUPPORTED; more than 2^32 - 1 instances, 2^20
- * assets or 4 GiB of names are SVO_LIMIT. No file is touched. Memory: 112 bytes an instance and the names. */
+ * errors of syntax) in the message; more than 2^32 - 1 instances, 2^20 assets or 4 GiB of names are SVO_LIMIT. No file is touched. Memory: 112 bytes an
+ * instance, the names, 64 bytes a pose of its own, 48 a matrix (the matrices of a pose reach to its highest bone; all of them may be 64 times as large as the
+ * text and 64 MiB, more is SVO_LIMIT). */
 svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_warnings *warnings,
                                 fmt_scene_json *out, svo_error *err);
 /* Frees and zeroes. */

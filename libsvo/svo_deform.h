@@ -48,12 +48,17 @@ void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], con
 /* `edge`: of the voxel at p, grid units. Zero where the map is flat there. n in mesh coordinates. */
 svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n);
 
-/* Box of an instance in scene coordinates under its pose, for a box of its asset's grid (its voxels' bounds); false when it is not finite. */
+/* Bounds of a box of the grid (an asset's voxels) under a pose (NULL: none), whatever its bones; false when they are not finite. Long twists and bends are cut
+ * into pieces, so that the bounds are within a few percent. */
+bool svo_deform_bounds(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target, const double grid_low[3],
+                       const double grid_high[3], double low[3], double high[3]);
+/* The same for an instance of a scene. */
 bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3]);
 
-/* A copy of a scene in which every instance has the pose that the spec gives for its asset, with new bounds of the pages. The source is borrowed. */
+/* A copy of a scene in which every instance has the pose as stated (its matrix is the one given, its bones are not used), with new bounds of the pages. The
+ * source is borrowed. */
 typedef struct svo_posed_scene svo_posed_scene;
-svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose_spec *spec, const svo_allocator *a, svo_posed_scene **out, svo_error *err);
+svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_posed_scene **out, svo_error *err);
 const svo_scene *svo_posed_scene_get(const svo_posed_scene *p);
 void svo_posed_scene_free(svo_posed_scene *p);
 

@@ -1,5 +1,5 @@
 /* Packing in five steps: look at the assets, classify the instances, merge equal assets, split the instances into
- * pages by a k-d tree, write the arrays. */
+ * pages by a k-d tree, write the arrays. Poses: svo_pack_pose.c. */
 #include "svo_pack.h"
 
 #include <math.h>
@@ -8,6 +8,7 @@
 
 #include "svo_task.h"
 #include "svo_text.h"
+#include "svoi_pack.h"
 
 #define DEFAULT_PAGE_INSTANCES 1024u
 /* Single precision keeps 2^-24 of a coordinate. An asset whose coordinates exceed 2^18 of its voxels would lose more
@@ -36,6 +37,8 @@ struct svo_packed_scene {
     uint32_t page_capacity;
     svo_scene_page *pages;
     svo_buffer names;
+    svoi_pose_table poses;
+    uint32_t *pose; /* of each instance, or NULL */
 };
 
 const svo_scene *svo_packed_scene_get(const svo_packed_scene *p) { return &p->scene; }
@@ -54,7 +57,9 @@ void svo_packed_scene_free(svo_packed_scene *p)
     svo_free(a, p->transform, p->capacity, 12 * sizeof *p->transform);
     svo_free(a, p->id, p->capacity, sizeof *p->id);
     svo_free(a, p->pages, p->page_capacity, sizeof *p->pages);
+    svo_free(a, p->pose, p->capacity, sizeof *p->pose);
     svo_buffer_free(&p->names);
+    svoi_pose_table_free(&p->poses);
     svo_free(a, p, 1, sizeof *p);
 }
 
@@ -71,6 +76,8 @@ typedef struct packer {
     uint64_t *scratch; /* kept */
     uint64_t *keys;    /* kept */
     double *centre;    /* 3 for every place of the input */
+    uint32_t *pose;    /* of every place of the input: number in the table, or SVO_NO_POSE; NULL when the input has none */
+    bool keep_bones;
 } packer;
 
 static void packer_free(packer *p)
@@ -79,6 +86,7 @@ static void packer_free(packer *p)
     svo_free(p->allocator, p->scratch, p->kept, 8);
     svo_free(p->allocator, p->keys, p->kept, 8);
     svo_free(p->allocator, p->centre, p->in->place_count, 24);
+    svo_free(p->allocator, p->pose, p->in->place_count, sizeof *p->pose);
 }
 
 static svo_result no_memory(svo_error *err, const char *what, uint64_t count)
@@ -267,13 +275,16 @@ static svo_result merge_assets(packer *p, svo_error *err)
 
 /* ---- 4. pages ---- */
 
-static void place_box(const packer *p, const svo_mat4 *transform, uint32_t asset, double low[3], double high[3])
+/* Bounds of a place (a number in the input); false when they are not finite. */
+static bool place_box(const packer *p, const svo_mat4 *transform, uint64_t number, double low[3], double high[3])
 {
-    const source *s = &p->out->sources[asset];
+    const svo_place *place = &p->in->places[number];
+    const source *s = &p->out->sources[place->asset];
+    svo_poses all = svoi_pose_table_get(&p->out->poses);
+    const svo_pose *pose = p->pose != NULL && p->pose[number] != SVO_NO_POSE ? &all.pose[p->pose[number]] : NULL;
     svo_mat4 grid;
     memcpy(grid.m, s->view.voxel_to_world, sizeof grid.m);
-    svo_mat4 m = svo_mat4_mul(*transform, grid);
-    svo_box_transform(&m, s->low, s->high, 16, low, high);
+    return svo_deform_bounds(&all, pose, &grid, transform, s->low, s->high, low, high);
 }
 
 static svo_result find_centres(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
@@ -284,10 +295,10 @@ static svo_result find_centres(void *user, uint64_t begin, uint64_t end, uint32_
         const svo_place *place = &p->in->places[p->order[i]];
         svo_mat4 m = place_transform(p, place);
         double low[3], high[3], *c = p->centre + 3 * p->order[i];
-        place_box(p, &m, place->asset, low, high);
+        bool finite = place_box(p, &m, p->order[i], low, high);
         for (int k = 0; k < 3; k++) {
             c[k] = low[k] / 2 + high[k] / 2 + 0.0; /* + 0.0: no negative zero */
-            if (isfinite(low[k]) && isfinite(high[k])) continue;
+            if (finite) continue;
             svo_fail(err, SVO_INVALID_DATA, "instance %llu: its bounds are not finite", (unsigned long long)p->order[i]);
             if (err != NULL) err->index = p->order[i];
             return SVO_INVALID_DATA;
@@ -415,10 +426,9 @@ static svo_result fill_pages(void *user, uint64_t begin, uint64_t end, uint32_t 
             o->id[i] = place->id;
             m = svo_scene_instance_transform(&o->scene, (uint32_t)g, i);
             double low[3], high[3];
-            place_box(p, &m, place->asset, low, high);
-            bool good = svo_mat4_affine_inverse(&m, &inverse);
+            bool good = place_box(p, &m, p->order[i], low, high) && svo_mat4_affine_inverse(&m, &inverse);
+            if (o->pose != NULL) o->pose[i] = p->pose[p->order[i]];
             for (int k = 0; k < 3; k++) {
-                good = good && isfinite(low[k]) && isfinite(high[k]);
                 page->low[k] = fmin(page->low[k], low[k]), page->high[k] = fmax(page->high[k], high[k]);
             }
             if (good) continue;
@@ -477,6 +487,62 @@ static void measure_translations(packer *p)
         }
 }
 
+/* The poses of the kept places, each once, for the coordinates that their assets have now. */
+static svo_result take_poses(packer *p, svo_error *err)
+{
+    svo_packed_scene *o = p->out;
+    const svo_pack_input *in = p->in;
+    bool any = false;
+    for (uint64_t i = 0; i < p->kept && !any; i++) any = in->places[p->order[i]].pose != 0;
+    if (!any) return SVO_OK;
+    p->pose = svo_alloc(p->allocator, in->place_count, sizeof *p->pose);
+    if (p->pose == NULL) return no_memory(err, "the poses", p->kept);
+    for (uint64_t i = 0; i < in->place_count; i++) p->pose[i] = SVO_NO_POSE;
+    for (uint64_t i = 0; i < p->kept; i++) {
+        const svo_place *place = &in->places[p->order[i]];
+        const source *s = &o->sources[place->asset];
+        if (place->pose == 0) continue;
+        SVO_ASSERT(place->pose - 1 < in->poses.count);
+        svo_mat4 grid;
+        double low[3], high[3];
+        memcpy(grid.m, s->view.voxel_to_world, sizeof grid.m);
+        svo_box_transform(&grid, s->low, s->high, 0, low, high);
+        for (int k = 0; k < 3; k++) low[k] += s->shift[k], high[k] += s->shift[k];
+        svo_result result = svoi_pose_table_add(&o->poses, &in->poses, place->pose - 1, low, high, s->shift, &p->pose[p->order[i]], err);
+        if (result != SVO_OK) {
+            if (err != NULL) err->index = p->order[i];
+            return result;
+        }
+        if (p->pose[p->order[i]] == SVO_NO_POSE) continue;
+        o->report.posed++;
+        const svo_pose *pose = (const svo_pose *)(const void *)o->poses.poses.data + p->pose[p->order[i]];
+        if ((pose->flags & SVO_POSE_BONES) != 0) o->report.assets[place->asset].bones = true;
+    }
+    o->report.poses_rest = o->poses.rest, o->report.poses_shared = o->poses.shared;
+    o->report.bones_rest = o->poses.bones_rest, o->report.matrices_shared = o->poses.matrices_shared;
+    return SVO_OK;
+}
+
+/* Channels `bone` that no pose asks for. One that is the only channel that varies stays: without it the octree's numbering would have to go as well. */
+static void drop_bones(packer *p)
+{
+    svo_pack_report *r = &p->out->report;
+    for (uint32_t a = 0; a < p->in->asset_count; a++) {
+        svo_view *v = &p->out->sources[a].view;
+        if (r->assets[a].fate != SVO_PACK_KEPT || r->assets[a].bones || p->keep_bones) continue;
+        uint32_t c = svo_view_find_channel(v, "bone"), varying = 0;
+        for (uint32_t i = 0; i < v->channel_count; i++) varying += i != c && v->channels[i].encoding != SVO_ENCODING_CONSTANT;
+        if (c >= v->channel_count || (varying == 0 && !v->unnumbered)) continue;
+        const svo_view_channel *k = &v->channels[c];
+        uint64_t stride = svo_channel_stride(k->channel.kind);
+        if (k->encoding == SVO_ENCODING_RAW) r->bone_channel_bytes += v->attribute_count * stride;
+        if (k->encoding == SVO_ENCODING_BLOCKS) r->bone_channel_bytes += k->table_count * stride + k->superblock_count * SVO_PALETTE_ENTRY + k->payload_size;
+        r->bone_channels++;
+        memmove(&v->channels[c], &v->channels[c + 1], (v->channel_count - c - 1) * sizeof v->channels[0]);
+        v->channel_count--;
+    }
+}
+
 static svo_result run(packer *p, svo_error *err)
 {
     svo_packed_scene *o = p->out;
@@ -499,6 +565,8 @@ static svo_result run(packer *p, svo_error *err)
     SVO_TRY(classify(p, err));
     for (uint32_t a = 0; a < assets; a++)
         if (o->report.assets[a].fate == SVO_PACK_KEPT) SVO_TRY(look_at_asset(p, a, err));
+    SVO_TRY(take_poses(p, err));
+    drop_bones(p);
     SVO_TRY(merge_assets(p, err));
     if (p->kept != 0) {
         p->scratch = svo_alloc(p->allocator, p->kept, 8);
@@ -511,7 +579,8 @@ static svo_result run(packer *p, svo_error *err)
         o->asset = svo_alloc(p->allocator, p->kept, sizeof *o->asset);
         o->transform = svo_alloc(p->allocator, p->kept, 12 * sizeof *o->transform);
         o->id = svo_alloc(p->allocator, p->kept, sizeof *o->id);
-        if (o->asset == NULL || o->transform == NULL || o->id == NULL) return no_memory(err, "the arrays", p->kept);
+        if (o->report.posed != 0) o->pose = svo_alloc(p->allocator, p->kept, sizeof *o->pose);
+        if (o->asset == NULL || o->transform == NULL || o->id == NULL || (o->pose == NULL && o->report.posed != 0)) return no_memory(err, "the arrays", p->kept);
     }
     svo_scene *s = &o->scene;
     s->instance_count = p->kept;
@@ -521,6 +590,8 @@ static svo_result run(packer *p, svo_error *err)
     s->instance_transform = o->transform;
     s->instance_id = o->id;
     s->pages = o->pages;
+    s->instance_pose = o->pose;
+    s->poses = svoi_pose_table_get(&o->poses);
     SVO_TRY(svo_parallel_for(p->threads, s->page_count, 4, fill_pages, p, err));
     SVO_TRY(gather_names(p, err));
     s->instance_name = o->name;
@@ -545,6 +616,8 @@ svo_result svo_pack(const svo_pack_input *input, const svo_pack_options *options
     if (p.out == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a scene");
     p.out->allocator = a;
     svo_buffer_init(&p.out->names, a);
+    svoi_pose_table_init(&p.out->poses, a);
+    p.keep_bones = options->keep_bones;
     svo_result result = run(&p, err);
     packer_free(&p);
     if (result != SVO_OK) {

@@ -14,6 +14,7 @@ typedef struct svo_place {
     uint64_t id;
     uint32_t asset; /* < asset_count */
     uint32_t name;  /* offset into names, 0 = none */
+    uint32_t pose;  /* number of a pose + 1, 0 = none */
 } svo_place;
 
 typedef struct svo_pack_input {
@@ -22,6 +23,7 @@ typedef struct svo_pack_input {
     const char *const *asset_names;   /* UTF-8 */
     uint64_t place_count;
     const svo_place *places;
+    svo_poses poses;    /* as stated (svo_pose_resolve), in mesh coordinates */
     const char *names;  /* NUL-terminated UTF-8 strings, the first one empty; may be NULL when no place has a name */
     uint64_t names_size;
     bool has_camera;
@@ -31,6 +33,7 @@ typedef struct svo_pack_input {
 
 typedef struct svo_pack_options {
     uint32_t page_instances; /* largest number of instances in a page; 0 = 1024 */
+    bool keep_bones;         /* keep the channel `bone` of assets whose instances have no bones in their poses */
     uint32_t threads;        /* 0 = all */
     const svo_allocator *allocator;
     svo_warnings *warnings;
@@ -42,6 +45,7 @@ typedef struct svo_pack_asset {
     svo_pack_fate fate;
     uint32_t packed;    /* number in the packed scene (KEPT, EQUAL) */
     uint64_t instances; /* in the packed scene */
+    bool bones;         /* an instance's pose has bones */
     bool moved;         /* its coordinates were moved to the middle of its grid, see docs/design/004-scenes.md */
 } svo_pack_asset;
 
@@ -51,6 +55,13 @@ typedef struct svo_pack_report {
     uint64_t dropped_empty; /* instances of assets without voxels */
     uint64_t dropped_hidden; /* scale 0 on all axes: glTF's way to hide */
     uint64_t dropped_flat;  /* singular: they have no volume to draw */
+    uint64_t posed;          /* instances with a pose */
+    uint64_t poses_rest;     /* of the kept instances: poses that move nothing, left out */
+    uint64_t poses_shared;   /* poses equal to one that is stored already */
+    uint64_t bones_rest;     /* matrices of bones that move nothing, at the end of a pose's list */
+    uint64_t matrices_shared; /* of poses, stored already */
+    uint32_t bone_channels;  /* channels `bone` left out, as no pose of the asset's instances has bones */
+    uint64_t bone_channel_bytes;
     double translation_error; /* largest distance that rounding moved an instance's origin, scene units */
 } svo_pack_report;
 

@@ -35,7 +35,7 @@ const char *svo_pose_fault(const svo_poses *all, const svo_pose *p)
     return NULL;
 }
 
-static bool is_identity(const float *m)
+bool svo_pose_matrix_is_identity(const float *m)
 {
     static const float identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
     for (int i = 0; i < 12; i++)
@@ -47,9 +47,9 @@ bool svo_pose_is_rest(const svo_poses *all, const svo_pose *p)
 {
     if ((p->flags & SVO_POSE_TWIST) != 0 && p->twist_angle != 0) return false;
     if ((p->flags & SVO_POSE_BEND) != 0 && p->bend_angle != 0) return false;
-    if ((p->flags & SVO_POSE_MATRIX) != 0 && !is_identity(all->matrix + 12 * (uint64_t)p->matrix)) return false;
+    if ((p->flags & SVO_POSE_MATRIX) != 0 && !svo_pose_matrix_is_identity(all->matrix + 12 * (uint64_t)p->matrix)) return false;
     for (uint64_t b = 0; b < p->bone_count; b++)
-        if (!is_identity(all->matrix + 12 * (p->bone_first + b))) return false;
+        if (!svo_pose_matrix_is_identity(all->matrix + 12 * (p->bone_first + b))) return false;
     return true;
 }
 
@@ -61,7 +61,7 @@ svo_mat4 svo_pose_matrix(const svo_poses *all, uint64_t i)
 }
 
 /* M for p becomes T M T^-1 for p + shift. */
-static void shift_matrix(float *m, const double shift[3])
+void svo_pose_shift(float *m, const double shift[3])
 {
     double moved[3];
     for (int i = 0; i < 3; i++) {
@@ -71,39 +71,25 @@ static void shift_matrix(float *m, const double shift[3])
     for (int i = 0; i < 3; i++) m[4 * i + 3] = (float)moved[i];
 }
 
-void svo_pose_shift(svo_pose *p, float *matrices, const double shift[3])
+svo_pose svo_pose_stated(void)
 {
-    for (int k = 0; k < 3; k++) p->pivot[k] = (float)(p->pivot[k] + shift[k]);
-    if ((p->flags & SVO_POSE_MATRIX) != 0) shift_matrix(matrices + 12 * (uint64_t)p->matrix, shift);
-    for (uint64_t b = 0; b < p->bone_count; b++) shift_matrix(matrices + 12 * (p->bone_first + b), shift);
+    return (svo_pose){.pivot = {NAN, NAN, NAN}, .twist_from = NAN, .twist_to = NAN, .bend_from = NAN, .bend_to = NAN};
 }
 
-static void resolve_range(bool given, const double range[2], double low, double high, double pivot, float *from, float *to)
+static void resolve_range(float *from, float *to, double low, double high, double pivot)
 {
-    double a = given ? range[0] : low, b = given ? range[1] : high;
-    *from = (float)(a - pivot), *to = (float)(b - pivot);
-    if (!(*from < *to)) *to = nextafterf(*from, INFINITY) > *from + 1 ? nextafterf(*from, INFINITY) : *from + 1;
+    *from = (float)((isnan(*from) ? low : *from) - pivot), *to = (float)((isnan(*to) ? high : *to) - pivot);
+    if (!(*from < *to)) *to = fmaxf(nextafterf(*from, INFINITY), *from + 1);
 }
 
-void svo_pose_resolve(const svo_pose_spec *spec, const double low[3], const double high[3], svo_pose *out, float matrix[12])
+void svo_pose_resolve(svo_pose *p, const double low[3], const double high[3])
 {
-    svo_pose p = {.flags = spec->flags};
-    double pivot[3];
-    bool turns = (spec->flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) != 0;
-    for (int k = 0; k < 3; k++) {
-        p.pivot[k] = !turns ? 0 : (float)(spec->has_pivot ? spec->pivot[k] : 0.5 * (low[k] + high[k]));
-        pivot[k] = p.pivot[k];
-    }
-    if ((spec->flags & SVO_POSE_TWIST) != 0) {
-        p.twist_axis = spec->twist_axis;
-        p.twist_angle = (float)spec->twist_angle;
-        resolve_range(spec->has_twist_range, spec->twist_range, low[p.twist_axis], high[p.twist_axis], pivot[p.twist_axis], &p.twist_from, &p.twist_to);
-    }
-    if ((spec->flags & SVO_POSE_BEND) != 0) {
-        p.bend_axis = spec->bend_axis, p.bend_towards = spec->bend_towards;
-        p.bend_angle = (float)spec->bend_angle;
-        resolve_range(spec->has_bend_range, spec->bend_range, low[p.bend_axis], high[p.bend_axis], pivot[p.bend_axis], &p.bend_from, &p.bend_to);
-    }
-    for (int i = 0; i < 12; i++) matrix[i] = (spec->flags & SVO_POSE_MATRIX) != 0 ? (float)spec->matrix.m[i] : i % 5 == 0 ? 1 : 0;
-    *out = p;
+    bool twist = (p->flags & SVO_POSE_TWIST) != 0, bend = (p->flags & SVO_POSE_BEND) != 0;
+    for (int k = 0; k < 3; k++)
+        if (!twist && !bend) p->pivot[k] = 0;
+        else if (isnan(p->pivot[k])) p->pivot[k] = (float)(0.5 * (low[k] + high[k]));
+    if (twist) resolve_range(&p->twist_from, &p->twist_to, low[p->twist_axis], high[p->twist_axis], p->pivot[p->twist_axis]);
+    else p->twist_from = p->twist_to = p->twist_angle = 0;
+    if (bend) resolve_range(&p->bend_from, &p->bend_to, low[p->bend_axis], high[p->bend_axis], p->pivot[p->bend_axis]);
+    else p->bend_from = p->bend_to = p->bend_angle = 0;
 }

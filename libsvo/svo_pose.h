@@ -52,23 +52,16 @@ bool svo_pose_is_rest(const svo_poses *all, const svo_pose *pose);
 /* Matrix number i of a set in double precision. */
 svo_mat4 svo_pose_matrix(const svo_poses *all, uint64_t i);
 
-/* The pose for coordinates that are moved by `shift` (p' = p + shift). Matrices of the pose are replaced in `matrices` (12 floats each, those of
- * the whole set). The rounding is that of single precision at the size of the coordinates. */
-void svo_pose_shift(svo_pose *pose, float *matrices, const double shift[3]);
+/* Matrix m (12 floats) for coordinates that are moved by `shift` (p' = p + shift), in place. The rounding is that of single precision at the size of the
+ * coordinates. (A pose's pivot moves with the coordinates: add the shift to it.) */
+void svo_pose_shift(float *m, const double shift[3]);
+bool svo_pose_matrix_is_identity(const float *m);
 
-/* A pose as people state it: what is not stated follows from the bounds of the shape that it is for. */
-typedef struct svo_pose_spec {
-    uint32_t flags; /* SVO_POSE_TWIST, _BEND, _MATRIX */
-    uint8_t twist_axis, bend_axis, bend_towards;
-    bool has_pivot, has_twist_range, has_bend_range;
-    double pivot[3];                 /* mesh coordinates; else the middle of the bounds */
-    double twist_range[2], twist_angle; /* mesh coordinates along the axis; else the bounds */
-    double bend_range[2], bend_angle;
-    svo_mat4 matrix;
-} svo_pose_spec;
-
-/* matrix: 12 floats, set with SVO_POSE_MATRIX; out->matrix is 0 and to be replaced by its number. A flat extent (low == high) gets a range of length 1. */
-void svo_pose_resolve(const svo_pose_spec *spec, const double low[3], const double high[3], svo_pose *out, float matrix[12]);
+/* A pose as people state it has positions in mesh coordinates (the pivot, from and to), NaN where they follow from the bounds of the shape: the pivot is
+ * their middle, a range their extent along the axis. This makes it one as above; a range without length gets one of 1. */
+void svo_pose_resolve(svo_pose *pose, const double low[3], const double high[3]);
+/* Stated: nothing but NaNs and flags 0. */
+svo_pose svo_pose_stated(void);
 
 #ifdef __cplusplus
 }

@@ -12,26 +12,61 @@ static void join(double low[3], double high[3], const double l[3], const double 
     }
 }
 
-bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3])
+/* Pieces to cut a box into along each axis of the grid, so that none turns by more than half a radian. */
+static void choose_pieces(const svo_deform *d, const double size[3], uint32_t pieces[3])
 {
-    svo_mat4 grid, place = svo_scene_instance_transform(s, page, instance);
-    const svo_pose *pose = svo_scene_instance_pose(s, instance);
-    memcpy(grid.m, s->assets[s->instance_asset[instance]]->voxel_to_world, sizeof grid.m);
+    enum { MOST = 32 };
+    double turn[3] = {0, 0, 0};
+    for (int part = 0; part < 2; part++) {
+        if ((d->flags & (uint32_t)(part == 0 ? SVO_POSE_TWIST : SVO_POSE_BEND)) == 0) continue;
+        const svo_slices *s = part == 0 ? &d->twist : &d->bend;
+        svo_mat4 in = d->in;
+        if ((d->flags & SVO_POSE_BONES) != 0) in = svo_mat4_mul(d->in, d->grid);
+        for (int k = 0; k < 3; k++)
+            turn[k] += fmin(fabs(s->angle), fabs(in.m[4 * s->axis + (uint32_t)k]) * size[k] / (s->to - s->from) * fabs(s->angle));
+    }
+    for (int k = 0; k < 3; k++) pieces[k] = turn[k] > 0.5 ? turn[k] < 0.5 * MOST ? (uint32_t)ceil(2 * turn[k]) : MOST : 1;
+    while (pieces[0] * pieces[1] * pieces[2] > MOST)
+        for (int k = 0; k < 3; k++) pieces[k] = (pieces[k] + 1) / 2;
+}
+
+bool svo_deform_bounds(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target, const double grid_low[3],
+                       const double grid_high[3], double low[3], double high[3])
+{
     if (pose == NULL) {
-        svo_mat4 m = svo_mat4_mul(place, grid);
+        svo_mat4 m = svo_mat4_mul(*mesh_to_target, *grid_to_mesh);
         svo_box_transform(&m, grid_low, grid_high, 16, low, high);
     } else {
-        svo_deform d = svo_deform_make(&s->poses, pose, &grid, &place);
-        svo_deform_box(&d, SVO_NO_BONE, grid_low, grid_high, low, high);
-        for (uint32_t b = 0; b < d.bone_count; b++) {
-            double l[3], h[3];
-            svo_deform_box(&d, b, grid_low, grid_high, l, h);
-            join(low, high, l, h);
-        }
+        svo_deform d = svo_deform_make(poses, pose, grid_to_mesh, mesh_to_target);
+        double size[3], l[3], h[3], from[3], to[3];
+        uint32_t pieces[3], at[3];
+        for (int k = 0; k < 3; k++) size[k] = grid_high[k] - grid_low[k], low[k] = INFINITY, high[k] = -INFINITY;
+        choose_pieces(&d, size, pieces);
+        for (at[2] = 0; at[2] < pieces[2]; at[2]++)
+            for (at[1] = 0; at[1] < pieces[1]; at[1]++)
+                for (at[0] = 0; at[0] < pieces[0]; at[0]++) {
+                    for (int k = 0; k < 3; k++) {
+                        from[k] = at[k] == 0 ? grid_low[k] : grid_low[k] + size[k] * at[k] / pieces[k];
+                        to[k] = at[k] + 1 == pieces[k] ? grid_high[k] : grid_low[k] + size[k] * (at[k] + 1) / pieces[k];
+                    }
+                    svo_deform_box(&d, SVO_NO_BONE, from, to, l, h);
+                    join(low, high, l, h);
+                    for (uint32_t b = 0; b < d.bone_count; b++) {
+                        svo_deform_box(&d, b, from, to, l, h);
+                        join(low, high, l, h);
+                    }
+                }
     }
     for (int k = 0; k < 3; k++)
         if (!isfinite(low[k]) || !isfinite(high[k])) return false;
     return true;
+}
+
+bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3])
+{
+    svo_mat4 grid, place = svo_scene_instance_transform(s, page, instance);
+    memcpy(grid.m, s->assets[s->instance_asset[instance]]->voxel_to_world, sizeof grid.m);
+    return svo_deform_bounds(&s->poses, svo_scene_instance_pose(s, instance), &grid, &place, grid_low, grid_high, low, high);
 }
 
 struct svo_posed_scene {
@@ -50,16 +85,17 @@ void svo_posed_scene_free(svo_posed_scene *p)
 {
     if (p == NULL) return;
     svo_free(p->allocator, p->pose, p->source->asset_count, sizeof *p->pose);
-    svo_free(p->allocator, p->matrix, p->source->asset_count, 12 * sizeof *p->matrix);
+    svo_free(p->allocator, p->matrix, 12, sizeof *p->matrix);
     svo_free(p->allocator, p->instance_pose, p->source->instance_count, sizeof *p->instance_pose);
     svo_free(p->allocator, p->pages, p->source->page_count, sizeof *p->pages);
     svo_free(p->allocator, p, 1, sizeof *p);
 }
 
 /* Boxes of the assets' voxels in the grid, 6 numbers each. */
-static svo_result pose_assets(svo_posed_scene *p, const svo_pose_spec *spec, double *boxes, svo_error *err)
+static svo_result pose_assets(svo_posed_scene *p, const svo_pose *stated, const float matrix[12], double *boxes, svo_error *err)
 {
     const svo_scene *s = p->source;
+    memcpy(p->matrix, matrix, 12 * sizeof *matrix);
     for (uint32_t i = 0; i < s->asset_count; i++) {
         bool any;
         uint32_t l[3], h[3];
@@ -71,8 +107,8 @@ static svo_result pose_assets(svo_posed_scene *p, const svo_pose_spec *spec, dou
         svo_mat4 grid;
         memcpy(grid.m, s->assets[i]->voxel_to_world, sizeof grid.m);
         svo_box_transform(&grid, box, box + 3, 0, low, high);
-        svo_pose_resolve(spec, low, high, &p->pose[i], p->matrix + 12 * i);
-        if ((spec->flags & SVO_POSE_MATRIX) != 0) p->pose[i].matrix = i;
+        p->pose[i] = *stated;
+        svo_pose_resolve(&p->pose[i], low, high);
         const char *fault = svo_pose_fault(&p->scene.poses, &p->pose[i]);
         if (fault != NULL) return svo_fail(err, SVO_INVALID_ARGUMENT, "the deformation cannot be used for asset %u: %s", i, fault);
     }
@@ -97,26 +133,26 @@ static void pose_pages(svo_posed_scene *p, const double *boxes)
     }
 }
 
-svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose_spec *spec, const svo_allocator *a, svo_posed_scene **out, svo_error *err)
+svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_posed_scene **out, svo_error *err)
 {
     svo_posed_scene *p = svo_calloc(a, 1, sizeof *p);
     if (p == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for poses");
     p->allocator = a;
     p->source = s;
     p->pose = svo_calloc(a, s->asset_count, sizeof *p->pose);
-    p->matrix = svo_alloc(a, s->asset_count, 12 * sizeof *p->matrix);
+    p->matrix = svo_alloc(a, 12, sizeof *p->matrix);
     p->instance_pose = svo_alloc(a, s->instance_count, sizeof *p->instance_pose);
     p->pages = svo_alloc(a, s->page_count, sizeof *p->pages);
     double *boxes = svo_alloc(a, s->asset_count, 6 * sizeof *boxes);
     p->scene = *s;
     svo_result result = SVO_OK;
-    if ((s->asset_count != 0 && (p->pose == NULL || p->matrix == NULL || boxes == NULL)) || (s->instance_count != 0 && (p->instance_pose == NULL || p->pages == NULL)))
+    if (p->matrix == NULL || (s->asset_count != 0 && (p->pose == NULL || boxes == NULL)) || (s->instance_count != 0 && (p->instance_pose == NULL || p->pages == NULL)))
         result = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for poses");
     if (result == SVO_OK && s->asset_count != 0) {
         p->scene.instance_pose = p->instance_pose;
         p->scene.pages = p->pages;
-        p->scene.poses = (svo_poses){.count = s->asset_count, .pose = p->pose, .matrix_count = s->asset_count, .matrix = p->matrix};
-        result = pose_assets(p, spec, boxes, err);
+        p->scene.poses = (svo_poses){.count = s->asset_count, .pose = p->pose, .matrix_count = 1, .matrix = p->matrix};
+        result = pose_assets(p, stated, matrix, boxes, err);
     }
     if (result == SVO_OK) pose_pages(p, boxes);
     svo_free(a, boxes, s->asset_count, 6 * sizeof *boxes);

@@ -41,7 +41,7 @@ static bool take_word(const char **at, const char *word)
     return true;
 }
 
-static const char *take_part(const char **at, svo_pose_spec *s)
+static const char *take_part(const char **at, svo_pose *s, svo_mat4 *matrix)
 {
     uint8_t a, b;
     double v[3];
@@ -50,7 +50,7 @@ static const char *take_part(const char **at, svo_pose_spec *s)
         if (!take_axis(at, &a) || !take_colon(at) || !take_number(at, v)) return "twist takes an axis and degrees: twist=y:90";
         s->flags |= SVO_POSE_TWIST;
         s->twist_axis = a;
-        s->twist_angle = v[0] * PI / 180;
+        s->twist_angle = (float)(v[0] * PI / 180);
         return NULL;
     }
     if (take_word(at, "bend")) {
@@ -59,7 +59,7 @@ static const char *take_part(const char **at, svo_pose_spec *s)
             return "bend takes the axis to bend, the one to bend it towards, and degrees: bend=yx:45";
         s->flags |= SVO_POSE_BEND;
         s->bend_axis = a, s->bend_towards = b;
-        s->bend_angle = v[0] * PI / 180;
+        s->bend_angle = (float)(v[0] * PI / 180);
         return NULL;
     }
     svo_mat4 m = svo_mat4_identity();
@@ -73,17 +73,22 @@ static const char *take_part(const char **at, svo_pose_spec *s)
         if (take_colon(at) && (!take_number(at, v + 1) || !take_colon(at) || !take_number(at, v + 2))) return "scale takes one number or three: scale=1:2:1";
         for (int k = 0; k < 3; k++) m.m[5 * k] = v[k];
     } else return "a deformation is twist=, bend=, shear= or scale=";
-    s->matrix = (s->flags & SVO_POSE_MATRIX) != 0 ? svo_mat4_mul(m, s->matrix) : m;
+    *matrix = svo_mat4_mul(m, *matrix);
     s->flags |= SVO_POSE_MATRIX;
     return NULL;
 }
 
-const char *parse_deform(const char *text, svo_pose_spec *out)
+const char *parse_deform(const char *text, svo_pose *stated, float matrix[12])
 {
-    memset(out, 0, sizeof *out);
+    svo_mat4 m = svo_mat4_identity();
+    *stated = svo_pose_stated();
     for (;;) {
-        const char *fault = take_part(&text, out);
+        const char *fault = take_part(&text, stated, &m);
         if (fault != NULL) return fault;
+        for (int i = 0; i < 12; i++) {
+            matrix[i] = (float)m.m[i];
+            if (!isfinite(matrix[i])) return "a number is too large";
+        }
         if (*text == 0) return NULL;
         if (*text++ != ',') return "parts are joined by commas";
     }
@@ -98,9 +103,9 @@ bool has_poses(const svo_scene *s)
     return false;
 }
 
-svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err)
+svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err)
 {
-    SVO_TRY(svo_scene_pose_all(*scene, spec, a, &p->posed, err));
+    SVO_TRY(svo_scene_pose_all(*scene, stated, matrix, a, &p->posed, err));
     *scene = svo_posed_scene_get(p->posed);
     return SVO_OK;
 }

@@ -7,7 +7,7 @@
 
 /* twist=AXIS:DEG, bend=AXIS TOWARDS:DEG, shear=AXIS BY:K, scale=K or scale=X:Y:Z, joined by commas. Returns what is wrong (static text), NULL when
  * nothing is. */
-const char *parse_deform(const char *text, svo_pose_spec *out);
+const char *parse_deform(const char *text, svo_pose *stated, float matrix[12]);
 
 /* The scene with every instance posed as --deform says (NULL: no such option). Closed with the picture. */
 typedef struct posing {
@@ -18,7 +18,7 @@ typedef struct posing {
 /* The decision tree of figure 29: what --resample auto means here. */
 enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT };
 
-svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err);
+svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err);
 bool has_poses(const svo_scene *scene);
 
 /* Replace *scene by one that the ray caster takes; `select` says what the picture needs. Reports under "deformation". save: path of an .svo, or NULL. */

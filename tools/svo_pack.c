@@ -65,6 +65,14 @@ static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_sc
                                                                     {"instances with a singular transform", r->dropped_flat}};
     for (int i = 0; i < 3; i++)
         if (dropped[i].count != 0) left_out(list, dropped[i].what, dropped[i].count, "instances", dropped[i].count * INSTANCE_BYTES);
+    const struct { const char *what; uint64_t count; const char *unit; uint64_t bytes; } poses[] = {
+        {"poses that move nothing", r->poses_rest, "poses", r->poses_rest * sizeof(svo_pose)},
+        {"poses equal to another one", r->poses_shared, "poses", r->poses_shared * sizeof(svo_pose)},
+        {"bones that no pose moves, at the end of a pose's list", r->bones_rest, "matrices", r->bones_rest * 48},
+        {"matrices of poses equal to others", r->matrices_shared, "matrices", r->matrices_shared * 48},
+        {"channels bone of assets whose instances' poses have no bones", r->bone_channels, "channels", r->bone_channel_bytes}};
+    for (size_t i = 0; i < sizeof poses / sizeof poses[0]; i++)
+        if (poses[i].count != 0) left_out(list, poses[i].what, poses[i].count, poses[i].unit, poses[i].bytes);
     const svo_scene *s = fmt_scene_build_scene(b);
     if (s->instance_name == NULL && s->instance_count != 0) left_out(list, "names of instances: none has one", s->instance_count, "instances", s->instance_count * 4);
 }
@@ -84,10 +92,14 @@ static void report_scene(cli *c, const fmt_scene_build *b, const fmt_scene_bytes
     cli_put_u64(output, "assets", s->asset_count);
     cli_put_u64(output, "instances", s->instance_count);
     cli_put_u64(output, "pages", s->page_count);
+    cli_put_u64(output, "posed_instances", r->posed);
+    cli_put_u64(output, "poses", s->poses.count);
+    cli_put_u64(output, "pose_matrices", s->poses.matrix_count);
     cli_put_u64(parts, "assets", bytes->assets);
     cli_put_u64(parts, "instances", bytes->instances);
     cli_put_u64(parts, "pages", bytes->pages);
     cli_put_u64(parts, "names", bytes->names);
+    cli_put_u64(parts, "poses", bytes->poses);
     cli_put_u64(parts, "rest", bytes->rest);
     json_object_set_new(output, "bytes_by_part", parts);
     for (uint32_t i = 0; i < count; i++) {

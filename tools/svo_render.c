@@ -69,6 +69,7 @@ typedef struct input {
     svo_scene_one single;
     const svo_scene *scene;
     const char *kind;
+    fmt_scene_loss loss; /* of a damaged scene */
 } input;
 
 static svo_result open_svo(input *in, cli *c, const svo_allocator *a, svo_error *err)
@@ -98,7 +99,11 @@ static svo_result open_input(input *in, cli *c, const svo_allocator *a, svo_erro
     switch ((fmt_kind)fmt_container_kind(in->bytes.data, in->bytes.size)) {
     case FMT_KIND_SCENE:
         in->kind = "svscene";
-        SVO_TRY(fmt_scene_open(in->bytes.data, in->bytes.size, a, &in->file, err));
+        SVO_TRY(fmt_scene_open_partly(in->bytes.data, in->bytes.size, a, &in->file, &in->loss, err));
+        if ((in->loss.pages != 0 || in->loss.assets != 0) && in->file.scene.instance_count == 0)
+            return svo_fail(err, SVO_INVALID_DATA, "%s is damaged: nothing of it can be drawn", c->inputs[0]);
+        if (in->loss.pages != 0) svo_warn(&c->warnings, "%llu pages are damaged and left out", (unsigned long long)in->loss.pages);
+        if (in->loss.assets != 0) svo_warn(&c->warnings, "%llu assets are damaged; nothing is drawn of them", (unsigned long long)in->loss.assets);
         in->scene = &in->file.scene;
         return SVO_OK;
     case FMT_KIND_SVDAG:
@@ -199,6 +204,9 @@ static void report_input(cli *c, const input *in, const svo_bvh_report *b)
     cli_put_u64(o, "instances_empty", b->empty);
     cli_put_u64(o, "instances_singular", b->singular);
     cli_put_u64(o, "instances_hidden_duplicates", b->duplicates);
+    cli_put_u64(o, "pages_damaged", in->loss.pages);
+    cli_put_u64(o, "assets_damaged", in->loss.assets);
+    cli_put_u64(o, "instances_damaged", in->loss.instances);
     cli_put_u64(o, "hierarchy_nodes", b->nodes);
     cli_put_u64(o, "hierarchy_bytes", b->bytes);
 }
@@ -242,9 +250,9 @@ static void report_picture(cli *c, const svo_render_options *o, const svo_render
 static void show_progress(void *user, double fraction) { cli_progress(user, "rendering", fraction); }
 
 /* A scene with poses to one without, for this picture; the camera is chosen on the way. */
-static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose_spec *spec, const char **camera, svo_error *err)
+static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose *stated, const float matrix[12], const char **camera, svo_error *err)
 {
-    if (spec != NULL) SVO_TRY(pose_scene(p, scene, spec, o->allocator, err));
+    if (stated != NULL) SVO_TRY(pose_scene(p, scene, stated, matrix, o->allocator, err));
     bool everything = ask.save_svo != NULL && !has_poses(*scene); /* the octree of a scene without poses is that of all of it */
     if (!has_poses(*scene) && !everything) return SVO_OK;
     SVO_TRY(choose_camera(*scene, NULL, o, camera, err));
@@ -253,7 +261,7 @@ static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_
     return unpose_scene(p, c, scene, &select, ask.resample, ask.save_svo, err);
 }
 
-static svo_result run(cli *c, svo_render_options *o, const svo_pose_spec *spec, const svo_allocator *a, svo_error *err)
+static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err)
 {
     posing posed = {0};
     const svo_scene *scene;
@@ -275,7 +283,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose_spec *spec, 
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
     scene = in.scene;
-    if ((r = unpose(c, &posed, &scene, o, spec, &camera, err)) != SVO_OK) goto done;
+    if ((r = unpose(c, &posed, &scene, o, stated, matrix, &camera, err)) != SVO_OK) goto done;
     cli_phase(c, "hierarchy");
     if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
     report_input(c, &in, &b);
@@ -304,6 +312,8 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose_spec *spec, 
     cli_info(c, "%s: %u x %u, %.2f Mray primary at %.2f and %.2f Mray shadow at %.2f Mray/s a thread", c->output, o->width, o->height,
              1e-6 * (double)stats.primary, stats.primary_seconds > 0 ? 1e-6 * (double)stats.primary / stats.primary_seconds : 0,
              1e-6 * (double)stats.shadow, stats.shadow_seconds > 0 ? 1e-6 * (double)stats.shadow / stats.shadow_seconds : 0);
+    if (in.loss.pages != 0 || in.loss.assets != 0) /* the picture is there, but it is not that of the whole scene */
+        r = svo_fail(err, SVO_INVALID_DATA, "%s is damaged: the picture lacks %llu instances", c->inputs[0], (unsigned long long)in.loss.instances);
 done:
     fmt_output_discard(out);
     svo_free(a, pixels, count, 4);
@@ -325,8 +335,9 @@ int main(int argc, char **argv)
         return cli_usage(&c, "--background takes sky, transparent or r,g,b with 0..255 each, not \"%s\"", ask.background);
     if (svo_length(vec(ask.light)) == 0) return cli_usage(&c, "--light needs a direction, not 0,0,0");
     if (c.output == NULL) return cli_usage(&c, "-o OUT.png is missing");
-    svo_pose_spec spec;
-    const char *fault = ask.deform != NULL ? parse_deform(ask.deform, &spec) : NULL;
+    svo_pose stated;
+    float matrix[12];
+    const char *fault = ask.deform != NULL ? parse_deform(ask.deform, &stated, matrix) : NULL;
     if (fault != NULL) return cli_usage(&c, "--deform %s: %s", ask.deform, fault);
     o.samples = (uint32_t)ask.samples;
     o.light = vec(ask.light);
@@ -344,7 +355,7 @@ int main(int argc, char **argv)
     o.allocator = a;
     o.progress = show_progress;
     o.user = &c;
-    svo_result r = run(&c, &o, ask.deform != NULL ? &spec : NULL, a, &err);
+    svo_result r = run(&c, &o, ask.deform != NULL ? &stated : NULL, matrix, a, &err);
     if (r == SVO_OUT_OF_MEMORY && c.memory != 0) r = svo_fail(&err, SVO_LIMIT, "the picture does not fit into --memory");
     return cli_end(&c, r, &err);
 }

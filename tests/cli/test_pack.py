@@ -186,7 +186,7 @@ def test_exit_codes(folder):
     expect(3, "lights", scene=description(folder, [], [], lights=[]))
     expect(3, "leaves", scene=description(folder, [("a", "../a.obj")], [{"asset": "a"}]))
     expect(3, "line 2: assets[0]", scene=write(folder / "bad.json", '{"assets":[\n{nonsense'))
-    expect(5, "pose", scene=description(folder, [("a", "a.obj")], [{"asset": "a", "pose": [1]}]))
+    expect(3, "pose", scene=description(folder, [("a", "a.obj")], [{"asset": "a", "pose": [1]}]))
     s = description(folder, [("a", "a.obj")], [{"asset": "a", "translation": [1e300, 0, 0]}])
     expect(3, "instance 0", scene=s)
     good = description(folder, [("a", "a.obj")], [{"asset": "a"}])

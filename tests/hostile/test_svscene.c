@@ -59,7 +59,7 @@ static void value_of(void *user, uint32_t channel, uint32_t x, uint32_t y, uint3
     out[0] = (uint8_t)(40 * x), out[1] = (uint8_t)(40 * y), out[2] = (uint8_t)(40 * z);
 }
 
-/* Two assets, `count` instances in pages of 4, names, a camera. */
+/* Two assets, `count` instances in pages of 4, names, a camera; every third instance is twisted, some of them sheared. */
 static void make(uint64_t count, svo_buffer *file)
 {
     static svo_error err;
@@ -77,10 +77,20 @@ static void make(uint64_t count, svo_buffer *file)
     for (uint64_t i = 0; i < count; i++) {
         svo_mat4 m = svo_mat4_trs((double[3]){(double)i * 7, (double)(i % 5), 0.1}, (double[4]){0, (double)i, 1, 2}, (double[3]){1, 2, 1});
         memcpy(places[i].transform, m.m, sizeof places[i].transform);
+        places[i].pose = i % 3 == 0 ? (uint32_t)(1 + i % 5) : 0;
         places[i].asset = i % 2, places[i].id = i, places[i].name = (uint32_t[4]){0, 1, 5, 9}[i % 4];
+    }
+    static const float matrices[24] = {1, 0.5f, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 2, 0, 0, 1, 0};
+    svo_pose poses[5];
+    for (int i = 0; i < 5; i++) {
+        poses[i] = svo_pose_stated();
+        poses[i].flags = SVO_POSE_TWIST | (i == 3 ? SVO_POSE_MATRIX : 0) | (i == 4 ? SVO_POSE_BONES : 0);
+        poses[i].twist_axis = 1, poses[i].twist_angle = (float)i;
+        if (i == 4) poses[i].bone_count = 2;
     }
     svo_pack_input in = {.asset_count = 2, .assets = (const svo_view *const[]){views[0], views[1]}, .asset_names = (const char *const[]){"first", "second"},
                          .place_count = count, .places = places, .names = names, .names_size = sizeof names,
+                         .poses = {.count = 5, .pose = poses, .matrix_count = 2, .matrix = matrices},
                          .has_camera = true, .camera_transform = svo_mat4_identity(), .camera_yfov = 1};
     svo_pack_options o = {.page_instances = 4};
     svo_packed_scene *packed;
@@ -136,6 +146,14 @@ TEST(every_rule_is_checked)
         {"SCN-07", T('I', 'X', 'F', 'M'), 0, 4, {0, 0, 0x80, 0x7f}},
         {"SCN-07", T('I', 'X', 'F', 'M'), 4, 4, {0, 0, 0xc0, 0x7f}},
         {"SCN-03", T('I', 'N', 'A', 'M'), 0, 4, {2, 0, 0, 0}},
+        {"SCN-11", T('I', 'P', 'O', 'S'), 0, 4, {99, 0, 0, 0}},
+        {"SCN-12", T('P', 'O', 'S', 'E'), 0, 1, {0x10}},
+        {"SCN-12", T('P', 'O', 'S', 'E'), 4, 1, {3}},
+        {"SCN-12", T('P', 'O', 'S', 'E'), 20, 4, {0, 0, 0xc0, 0x7f}},
+        {"SCN-12", T('P', 'O', 'S', 'E'), 56, 1, {1}},
+        {"SCN-12", T('P', 'M', 'A', 'T'), 4, 4, {0, 0, 0x80, 0x7f}},
+        {"SCN-13", T('P', 'H', 'S', 'H'), 8, 1, {0x5a}},
+        {"SCN-13", T('I', 'I', 'D', 'S'), 0, 8, {0x77, 0x66}},
         {"SCN-09", T('C', 'A', 'M', 'R'), 0, 8, {0, 0, 0, 0, 0, 0, 0, 0}},
         {"SCN-09", T('C', 'A', 'M', 'R'), 128, 8, {0, 0, 0, 0, 0, 0, 0x10, 0x40}},
     };
@@ -160,6 +178,53 @@ TEST(every_rule_is_checked)
                   svo_result_name(result), result == SVO_OK ? "" : err.message);
         hostile_free(&f);
         svo_buffer_free(&changed);
+    }
+    svo_buffer_free(&file);
+}
+
+/* Bytes of one page, or of one asset, changed in place without a right hash: the rest opens, and is what it was. */
+TEST(a_damaged_page_or_asset_leaves_the_rest)
+{
+    svo_buffer file;
+    svo_error err = {0};
+    svo_buffer_init(&file, NULL);
+    make(20, &file);
+    if (test_failed()) return;
+    static const uint32_t arrays[] = {T('I', 'A', 'S', 'T'), T('I', 'X', 'F', 'M'), T('I', 'I', 'D', 'S'), T('I', 'N', 'A', 'M'), T('I', 'P', 'O', 'S'), T('A', 'S', 'E', 'T')};
+    for (size_t i = 0; i < sizeof arrays / sizeof arrays[0]; i++) {
+        fmt_container c;
+        fmt_scene whole, part;
+        fmt_scene_loss loss;
+        CHECK_OK(fmt_scene_open(file.data, file.size, NULL, &whole, &err));
+        svo_buffer bytes;
+        svo_buffer_init(&bytes, NULL);
+        CHECK(svo_buffer_append(&bytes, file.data, file.size) != NULL);
+        CHECK_OK(fmt_container_open(bytes.data, bytes.size, NULL, &c, &err));
+        const fmt_chunk *k = fmt_container_find(&c, arrays[i], true, 0);
+        CHECK(k != NULL);
+        bool asset = arrays[i] == T('A', 'S', 'E', 'T');
+        memset(bytes.data + k->offset + (asset ? 200 : 6 * k->element_stride), 0xaa, 3); /* instance 6 is in page 1 */
+        fmt_container_close(&c);
+        CHECK_RESULT(fmt_scene_open(bytes.data, bytes.size, NULL, &part, &err), SVO_INVALID_DATA);
+        CHECK_OK(fmt_scene_open_partly(bytes.data, bytes.size, NULL, &part, &loss, &err));
+        if (asset) {
+            CHECK_U64(loss.assets, 1);
+            CHECK_U64(loss.pages, 0);
+            CHECK_U64(loss.instances, 10);
+        } else {
+            CHECK_U64(loss.pages, 1);
+            CHECK_U64(loss.assets, 0);
+            CHECK_U64(loss.instances, 4);
+            for (uint64_t n = 0; n < 16; n++) {
+                uint64_t from = n < 4 ? n : n + 4;
+                CHECK_U64(part.scene.instance_id[n], whole.scene.instance_id[from]);
+                CHECK(memcmp(part.scene.instance_transform + 12 * n, whole.scene.instance_transform + 12 * from, 48) == 0);
+            }
+        }
+        CHECK_U64(part.scene.instance_count, 20 - loss.instances);
+        fmt_scene_close(&part);
+        fmt_scene_close(&whole);
+        svo_buffer_free(&bytes);
     }
     svo_buffer_free(&file);
 }

@@ -22,10 +22,26 @@ typedef struct posed {
     svo_poses all;
 } posed;
 
-static void finish(posed *p, const svo_pose_spec *spec, double size)
+/* A pose as stated, in double precision. */
+typedef struct spec {
+    uint32_t flags;
+    uint8_t twist_axis, bend_axis, bend_towards;
+    double twist_angle, bend_angle, twist_range[2], bend_range[2];
+    bool has_twist_range, has_bend_range;
+    svo_mat4 matrix;
+} spec;
+
+static void finish(posed *p, const spec *s, double size)
 {
     double low[3] = {0, 0, 0}, high[3] = {size, size, size};
-    svo_pose_resolve(spec, low, high, &p->pose, p->matrix);
+    p->pose = svo_pose_stated();
+    p->pose.flags = s->flags;
+    if ((s->flags & SVO_POSE_TWIST) != 0) p->pose.twist_axis = s->twist_axis, p->pose.twist_angle = (float)s->twist_angle;
+    if ((s->flags & SVO_POSE_BEND) != 0) p->pose.bend_axis = s->bend_axis, p->pose.bend_towards = s->bend_towards, p->pose.bend_angle = (float)s->bend_angle;
+    if (s->has_twist_range) p->pose.twist_from = (float)s->twist_range[0], p->pose.twist_to = (float)s->twist_range[1];
+    if (s->has_bend_range) p->pose.bend_from = (float)s->bend_range[0], p->pose.bend_to = (float)s->bend_range[1];
+    for (int i = 0; i < 12; i++) p->matrix[i] = (float)s->matrix.m[i];
+    svo_pose_resolve(&p->pose, low, high);
     p->all = (svo_poses){.count = 1, .pose = &p->pose, .matrix_count = 1, .matrix = p->matrix};
 }
 
@@ -41,7 +57,7 @@ static svo_mat4 rows(double a, double b, double c, double d, double e, double f,
 static void make_pose(int which, double size, posed *out)
 {
     uint64_t seed = 77 + (uint64_t)which;
-    svo_pose_spec s = {0};
+    spec s = {0};
     s.matrix = svo_mat4_identity();
     switch (which) {
     case 0: break; /* rest */
@@ -112,7 +128,7 @@ TEST(faults_and_rest)
 TEST(twist_and_bend_do_what_they_say)
 {
     svo_mat4 id = svo_mat4_identity();
-    svo_pose_spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = PI / 2};
+    spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = PI / 2};
     posed p;
     finish(&p, &s, 8); /* about x = z = 4, from y = 0 to 8 */
     svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &id);
@@ -120,7 +136,7 @@ TEST(twist_and_bend_do_what_they_say)
     CHECK(fabs(q.x - 6) < 1e-6 && fabs(q.y - 8) < 1e-6 && fabs(q.z - 4) < 1e-6);
     q = svo_deform_point(&d, SVO_NO_BONE, svo_v3(4, 4, 6));
     CHECK(fabs(q.x - 4 - sqrt(2)) < 1e-6 && fabs(q.z - 4 - sqrt(2)) < 1e-6);
-    s = (svo_pose_spec){.flags = SVO_POSE_BEND, .bend_axis = 1, .bend_towards = 0, .bend_angle = PI / 2};
+    s = (spec){.flags = SVO_POSE_BEND, .bend_axis = 1, .bend_towards = 0, .bend_angle = PI / 2};
     finish(&p, &s, 8);
     d = svo_deform_make(&p.all, &p.pose, &id, &id);
     /* the middle line, 8 long, becomes a quarter of a circle of radius 16 / pi */
@@ -145,7 +161,7 @@ TEST(figure_16_is_inside)
 {
     uint64_t seed = 5;
     posed p;
-    svo_pose_spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = 2};
+    spec s = {.flags = SVO_POSE_TWIST, .twist_axis = 1, .twist_angle = 2};
     finish(&p, &s, 16);
     svo_mat4 id = svo_mat4_identity();
     svo_deform d = svo_deform_make(&p.all, &p.pose, &id, &id);

@@ -110,7 +110,19 @@ TEST(mistakes_are_named)
         {ASSETS ",\"instances\":[{\"asset\":\"a\"} {\"asset\":\"a\"}]}", "','", SVO_INVALID_DATA},
         {ASSETS ",\"instances\":[{}]}", "instances[0].asset: missing", SVO_INVALID_DATA},
         {ASSETS ",\"instances\":[{\"asset\":\"a\",\"colour\":1}]}", "instances[0].colour: unknown key", SVO_INVALID_DATA},
-        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{}}]}", "instances[0].pose", SVO_UNSUPPORTED},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":[1]}]}", "instances[0].pose: an object", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":\"p\"}]}", "instances[0].pose: there is no pose", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"twirl\":1}}]}", "instances[0].pose.twirl: unknown key", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"twist\":{}}}]}", "instances[0].pose.twist.degrees: missing", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"twist\":{\"degrees\":1,\"from\":2}}}]}", "twist.from", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"twist\":{\"axis\":\"w\",\"degrees\":1}}}]}", "twist.axis", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"bend\":{\"axis\":\"y\",\"degrees\":1}}}]}", "bend.towards", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"shear\":{\"xx\":1}}}]}", "shear.xx", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"shear\":{\"xy\":1e39}}}]}", "shear.xy", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"bones\":[{\"bone\":65536}]}}]}", "bones.bone", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[{\"asset\":\"a\",\"pose\":{\"bones\":[{\"bone\":1,\"pivot\":[0,0,0],\"matrix\":[1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]}]}}]}", "excludes", SVO_INVALID_DATA},
+        {ASSETS ",\"instances\":[],\"poses\":[{\"name\":\"p\"}]}", "poses come before", SVO_INVALID_DATA},
+        {ASSETS ",\"poses\":[{\"twist\":{\"degrees\":1}}],\"instances\":[]}", "poses[0].name: missing", SVO_INVALID_DATA},
         {ASSETS ",\"instances\":[{\"asset\":\"a\",\"id\":-1}]}", "instances[0].id", SVO_INVALID_DATA},
         {ASSETS ",\"instances\":[{\"asset\":\"a\",\"id\":1.5}]}", "instances[0].id", SVO_INVALID_DATA},
         {ASSETS ",\"instances\":[{\"asset\":\"a\",\"id\":9223372036854775808}]}", "instances[0]", SVO_INVALID_DATA},
@@ -192,4 +204,30 @@ TEST(a_hundred_thousand_instances_take_memory_by_the_instance)
     fmt_scene_json_free(&s);
     CHECK_U64(svo_limit_in_use(&a), 0);
     free(text);
+}
+
+TEST(poses_are_read)
+{
+    fmt_scene_json s;
+    memset(&err, 0, sizeof err);
+    CHECK_OK(parse(ASSETS ",\"poses\":[{\"name\":\"wave\",\"bend\":{\"axis\":\"y\",\"towards\":\"z\",\"degrees\":180,\"from\":0,\"to\":2},\"pivot\":[1,2,3]}],"
+                          "\"instances\":[{\"asset\":\"a\",\"pose\":\"wave\"},{\"asset\":\"a\",\"pose\":{\"twist\":{\"radians\":1},\"scale\":[1,2,3],\"shear\":{\"xy\":5}}},"
+                          "{\"asset\":\"b\",\"pose\":null},{\"asset\":\"b\",\"pose\":{\"bones\":[{\"bone\":2,\"rotation\":[0,0,1,0],\"pivot\":[1,0,0]}]}}]}",
+                   &s));
+    CHECK_U64(s.poses.count, 3);
+    CHECK_U64(s.places[0].pose, 1);
+    CHECK_U64(s.places[1].pose, 2);
+    CHECK_U64(s.places[2].pose, 0);
+    CHECK_U64(s.places[3].pose, 3);
+    const svo_pose *p = s.poses.pose;
+    CHECK(p[0].flags == SVO_POSE_BEND && p[0].bend_axis == 1 && p[0].bend_towards == 2 && fabsf(p[0].bend_angle - 3.14159265f) < 1e-6f);
+    CHECK(p[0].bend_from == 0 && p[0].bend_to == 2 && p[0].pivot[2] == 3);
+    CHECK(p[1].flags == (SVO_POSE_TWIST | SVO_POSE_MATRIX) && p[1].twist_angle == 1 && isnan(p[1].twist_from) && isnan(p[1].pivot[0]));
+    const float *m = s.poses.matrix + 12 * p[1].matrix; /* scale first, then shear: x' = x + 5 * 2 y */
+    CHECK(m[0] == 1 && m[1] == 10 && m[5] == 2 && m[10] == 3);
+    CHECK(p[2].flags == SVO_POSE_BONES && p[2].bone_count == 3);
+    m = s.poses.matrix + 12 * (p[2].bone_first + 2); /* half a turn about z through (1, 0, 0) */
+    CHECK(fabsf(m[0] + 1) < 1e-6f && fabsf(m[3] - 2) < 1e-6f && fabsf(m[5] + 1) < 1e-6f);
+    CHECK(svo_pose_matrix_is_identity(s.poses.matrix + 12 * p[2].bone_first));
+    fmt_scene_json_free(&s);
 }
