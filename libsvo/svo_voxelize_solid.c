@@ -1,11 +1,12 @@
 /* The voxelizer's half for solids: chunks of surface and inside, and the values of what is inside.
  *
  * A voxel or leaf inside takes the values of the nearest surface: up to 8^3 voxels, those of the surface voxel of the chunk whose centre is nearest to
- * its own (so they are averaged and filtered already); where another chunk may hold a nearer one, and for larger leaves, those at the nearest point
- * of the mesh. */
+ * its own (but for half the side of a leaf: svoi_solid_near.h), so they are averaged and filtered already; where another chunk may hold a nearer one, and for larger
+ * leaves, those at the nearest point of the mesh. */
 #include <string.h>
 
 #include "svo_morton.h"
+#include "svoi_solid_near.h"
 #include "svoi_voxelize.h"
 
 enum { NEAR_HEIGHT = 3, ASK_MESH = 0x80000000u /* a source that is no voxel */ };
@@ -24,81 +25,6 @@ svo_bin_side svoi_solid_side(void *user, uint64_t code, uint32_t level)
     return SVO_BIN_SPLIT;
 }
 
-/* --- nearest surface voxel of the block --------------------------------------------------------------------------- */
-
-typedef struct search {
-    const svo_block *block;
-    int32_t at[3];  /* in half voxels from the block's corner */
-    int32_t best;   /* squared distance to the centre of `code`, half voxels */
-    uint32_t code;
-} search;
-
-static void search_brick(search *s, uint32_t brick)
-{
-    uint32_t low[3];
-    svo_morton_decode((uint64_t)brick << 6, &low[0], &low[1], &low[2]);
-    int32_t square[3][4];
-    for (int k = 0; k < 3; k++)
-        for (int i = 0; i < 4; i++) {
-            int32_t d = 2 * ((int32_t)low[k] + i) + 1 - s->at[k];
-            square[k][i] = d * d;
-        }
-    for (uint64_t bits = s->block->bricks[brick]; bits != 0; bits &= bits - 1) {
-        uint32_t b = (uint32_t)__builtin_ctzll(bits);
-        int32_t d = square[0][(b & 1) | (b >> 2 & 2)] + square[1][(b >> 1 & 1) | (b >> 3 & 2)] + square[2][(b >> 2 & 1) | (b >> 4 & 2)];
-        if (d < s->best || (d == s->best && (brick << 6 | b) < s->code)) s->best = d, s->code = brick << 6 | b;
-    }
-}
-
-/* Squared distance, in half voxels, from the point to the slab of bricks at `i` along an axis. */
-static int32_t slab_gap(int32_t at, int32_t i)
-{
-    int32_t low = 8 * i, d = at < low ? low - at : at > low + 8 ? at - low - 8 : 0;
-    return d * d;
-}
-
-/* The surface voxel nearest to the middle of an entry, ties to the smaller code; false when the block may not hold the nearest. */
-static bool nearest_voxel(const svoi_scan *s, const svo_block *block, uint32_t entry, uint32_t levels, uint32_t *code)
-{
-    uint32_t at[3];
-    svo_morton_decode(svo_solid_code(entry), &at[0], &at[1], &at[2]);
-    search q = {.block = block, .best = INT32_MAX, .code = UINT32_MAX};
-    const int32_t half = 1 << svo_solid_height(entry), bricks = levels > 2 ? 1 << (levels - 2) : 1;
-    int32_t home[3];
-    for (int k = 0; k < 3; k++) {
-        q.at[k] = 2 * (int32_t)at[k] + half;
-        home[k] = q.at[k] >> 3;
-    }
-    for (int32_t ring = 0; ring < bricks; ring++) {
-        bool nearer = false; /* could a brick of this ring hold a nearer voxel? */
-        for (int32_t z = home[2] - ring; z <= home[2] + ring; z++) {
-            int32_t gz = slab_gap(q.at[2], z);
-            if (z < 0 || z >= bricks || gz > q.best) continue;
-            for (int32_t y = home[1] - ring; y <= home[1] + ring; y++) {
-                int32_t gy = gz + slab_gap(q.at[1], y);
-                if (y < 0 || y >= bricks || gy > q.best) continue;
-                bool edge = z == home[2] - ring || z == home[2] + ring || y == home[1] - ring || y == home[1] + ring;
-                for (int32_t x = home[0] - ring; x <= home[0] + ring; x += edge || ring == 0 ? 1 : 2 * ring) {
-                    if (x < 0 || x >= bricks || gy + slab_gap(q.at[0], x) > q.best) continue;
-                    nearer = true;
-                    uint32_t brick = (uint32_t)svo_morton_encode((uint32_t)x, (uint32_t)y, (uint32_t)z);
-                    if (block->bricks[brick] != 0) search_brick(&q, brick);
-                }
-            }
-        }
-        if (!nearer) break;
-    }
-    if (q.code == UINT32_MAX) return false;
-    /* the block's own faces, where the grid goes on behind them */
-    const int32_t side = 2 << levels, grid = (int32_t)1 << s->r->info->depth;
-    for (int k = 0; k < 3; k++) {
-        int32_t down = q.at[k], up = side - q.at[k];
-        if ((s->corner_axis[k] > 0 && down * down < q.best) || (s->corner_axis[k] + side / 2 < grid && up * up < q.best)) return false;
-    }
-    *code = q.code;
-    return true;
-}
-
 /* --- values ------------------------------------------------------------------------------------------------------- */
 
 /* Values at the point of the mesh nearest to the middle of a node whose low corner and size are given in voxels. */
@@ -106,7 +32,7 @@ static void mesh_values(svoi_scan *s, const int32_t low[3], int32_t size, uint8_
 {
     svoi_worker *w = s->w;
     int32_t p[3];
-    uint32_t triangle;
+    uint32_t triangle = w->nearest_triangle;
     double barycentric[3];
     for (int k = 0; k < 3; k++) p[k] = low[k] * SVO_RASTER_UNIT + size * (SVO_RASTER_UNIT / 2);
     if (!svo_winding_nearest(s->r->winding, p, &triangle, barycentric)) return; /* nothing is inside of no mesh */
@@ -124,13 +50,15 @@ static bool find_sources(svoi_scan *s, uint32_t levels)
     const svo_block *b = w->block;
     const uint32_t *entries = (const uint32_t *)(const void *)w->entries.data;
     uint64_t count = w->entries.size / sizeof *entries;
+    svoi_near near;
+    svoi_near_begin(&near, b, levels, s->corner_axis, (int32_t)1 << s->r->info->depth);
     w->sources.size = 0;
     uint32_t *source = svo_buffer_append(&w->sources, NULL, count * sizeof *source), surface = 0;
     if (source == NULL) return false;
     for (uint64_t i = 0; i < count; i++) {
         uint32_t code;
         if (entries[i] & SVO_SOLID_SURFACE) source[i] = surface++;
-        else if (svo_solid_height(entries[i]) <= NEAR_HEIGHT && nearest_voxel(s, b, entries[i], levels, &code)) source[i] = svo_block_index(b, code);
+        else if (svo_solid_height(entries[i]) <= NEAR_HEIGHT && svoi_near_voxel(&near, svo_solid_code(entries[i]), svo_solid_height(entries[i]), &code)) source[i] = svo_block_index(b, code);
         else source[i] = ASK_MESH;
     }
     return true;

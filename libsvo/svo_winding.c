@@ -527,6 +527,35 @@ static double nearest_on(double (*v)[3], double out[3])
     return dot(p, p);
 }
 
+/* Squared distance of a point from a box. Without branches: whether a coordinate is before, in or behind the box cannot be foreseen. */
+static inline double point_gap2(const svoi_box *b, const int32_t p[3])
+{
+    int64_t sum = 0;
+    for (int k = 0; k < 3; k++) {
+        const int64_t before = (int64_t)b->low[k] - p[k], behind = (int64_t)p[k] - b->high[k], d = before > behind ? before : behind;
+        sum += d > 0 ? d * d : 0;
+    }
+    return (double)sum;
+}
+
+/* INFINITY when its box is farther away than `most` (squared). */
+static double distance_to(const svo_winding *w, uint32_t triangle, const int32_t p[3], double most, double barycentric[3])
+{
+    svo_record r;
+    double v[3][3];
+    svo_bins_record(w->bins, triangle, &r);
+    svoi_box box;
+    for (int k = 0; k < 3; k++) {
+        const int32_t low = r.q[0][k] < r.q[1][k] ? r.q[0][k] : r.q[1][k], high = r.q[0][k] < r.q[1][k] ? r.q[1][k] : r.q[0][k];
+        box.low[k] = r.q[2][k] < low ? r.q[2][k] : low;
+        box.high[k] = r.q[2][k] > high ? r.q[2][k] : high;
+    }
+    if (point_gap2(&box, p) > most) return INFINITY;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) v[i][k] = (double)r.q[i][k] - p[k];
+    return nearest_on(v, barycentric);
+}
+
 static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p[3], double *best, uint32_t *triangle, double barycentric[3])
 {
     svoi_tree_node stack[SVOI_TREE_STACK];
@@ -541,7 +570,7 @@ static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p
             svoi_tree_node child[2];
             double d[2];
             uint32_t count = svoi_tree_children(t, n, child);
-            for (uint32_t i = 0; i < count; i++) d[i] = gap2(svoi_tree_box(t, child[i]), p, p);
+            for (uint32_t i = 0; i < count; i++) d[i] = point_gap2(svoi_tree_box(t, child[i]), p);
             uint32_t far = count == 2 && d[1] > d[0] ? 1 : 0; /* the nearer one is looked at first */
             for (uint32_t i = 0; i < count; i++) {
                 uint32_t c = i == 0 ? far : far ^ 1;
@@ -554,16 +583,10 @@ static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p
         uint64_t begin, end;
         svoi_tree_items(t, n, &begin, &end);
         for (; begin < end; begin++) {
-            uint32_t at = t->order[begin];
-            svo_record r;
-            double v[3][3], b[3];
-            svo_bins_record(w->bins, at, &r);
-            for (int i = 0; i < 3; i++)
-                for (int k = 0; k < 3; k++) v[i][k] = (double)r.q[i][k] - p[k];
-            double d = nearest_on(v, b);
-            if (d > *best || (d == *best && at >= *triangle)) continue;
+            double b[3], d = distance_to(w, t->order[begin], p, *best, b);
+            if (d > *best || (d == *best && t->order[begin] >= *triangle)) continue;
             *best = d;
-            *triangle = at;
+            *triangle = t->order[begin];
             memcpy(barycentric, b, sizeof b);
         }
     }
@@ -571,8 +594,7 @@ static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p
 
 bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], uint32_t *triangle, double barycentric[3])
 {
-    double best = INFINITY;
-    *triangle = UINT32_MAX;
+    double best = *triangle != UINT32_MAX ? distance_to(w, *triangle, p, INFINITY, barycentric) : INFINITY;
     for (int c = 0; c < SVOI_CLASSES; c++)
         if (w->tree[c].count != 0) nearest_in(w, &w->tree[c], p, &best, triangle, barycentric);
     return *triangle != UINT32_MAX;

@@ -49,7 +49,8 @@ double svo_winding_change(const svo_winding *w, const int32_t low[3], const int3
 /* Approximation of hierarchical winding numbers that svo_winding_inside does not count as margin: stay away from it by this much. */
 #define SVO_WINDING_ERROR 0.004
 
-/* Triangle nearest to p (ties: the smaller number) and the barycentric coordinates of its nearest point; false when there are none. */
+/* Triangle nearest to p (ties: the smaller number) and the barycentric coordinates of its nearest point; false when there are none. *triangle
+ * may name one that is likely to be near, which saves time and changes nothing; else UINT32_MAX. */
 bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], uint32_t *triangle, double barycentric[3]);
 
 #ifdef __cplusplus
