@@ -96,7 +96,11 @@ static void to_planes(const uint8_t *values, uint64_t count, uint32_t stride, ui
 static bool bad_normals(const uint8_t *v, uint64_t count)
 {
     bool bad = false;
-    for (uint64_t i = 0; i < 2 * count; i++) bad |= v[2 * i] == 0 && v[2 * i + 1] == 0x80;
+    for (uint64_t i = 0; i < 2 * count; i++) {
+        uint16_t n;
+        memcpy(&n, v + 2 * i, 2);
+        bad |= n == 0x8000;
+    }
     return bad;
 }
 

@@ -1,4 +1,4 @@
-#include "svo_channel.h"
+#include "svoi_channel.h"
 
 #include <math.h>
 #include <string.h>
@@ -23,15 +23,23 @@ uint32_t svo_channel_stride(uint32_t kind)
 
 float svo_srgb_to_linear(uint8_t v) { return svoi_srgb_linear[v]; }
 
-uint8_t svo_linear_to_srgb(float v)
+static inline uint8_t encode_srgb(float v)
 {
-    /* the answer: number of thresholds that are <= v */
-    if (!(v >= 0x1p-13f)) return 0; /* below the first; NaN too */
-    if (!(v < 1)) return 255;
+    /* the answer: number of thresholds that are <= v. Without branches: colours are all over the place */
+    const float least = 0x1p-13f, most = 0x1.fffffep-1f; /* below the first threshold; above the last */
+    v = v >= least ? v : least; /* NaN too */
+    v = v < most ? v : most;
     uint32_t bits;
     memcpy(&bits, &v, sizeof bits);
-    uint32_t guess = svoi_srgb_bucket[(bits >> 16) - 0x3900];
-    return (uint8_t)(guess + (guess < 255 && svoi_srgb_threshold[guess] <= v));
+    const uint32_t guess = svoi_srgb_bucket[(bits >> 16) - 0x3900], at = guess < 255 ? guess : 254;
+    return (uint8_t)(guess + (guess < 255 && svoi_srgb_threshold[at] <= v));
+}
+
+uint8_t svo_linear_to_srgb(float v) { return encode_srgb(v); }
+
+void svoi_linear_to_srgb(const float *v, uint64_t count, uint8_t *out)
+{
+    for (uint64_t i = 0; i < count; i++) out[i] = encode_srgb(v[i]);
 }
 
 static int16_t load16(const uint8_t *p) { return (int16_t)(uint16_t)(p[0] | p[1] << 8); }

@@ -12,8 +12,6 @@ enum { LANES = 8 };
 typedef float lanes __attribute__((vector_size(4 * LANES)));
 typedef int32_t masks __attribute__((vector_size(4 * LANES)));
 
-static inline float inverse_of(float m) { return m > parallel || m < -parallel ? 1 / m : 1e8f; }
-
 bool svoi_clipper_make(svoi_clipper *c, const double v[3][3])
 {
     double n[3];
@@ -76,8 +74,7 @@ static inline void clamp(lanes *a, float low, float high)
 typedef struct span { lanes begin, end; } span;
 
 /* -1/2 <= at + t m <= 1/2 */
-typedef struct slab { float inverse, half; } slab; /* 1 / m, 1 / |2 m| */
-static inline slab slab_of(float m) { return (slab){-inverse_of(m), 0.5f * fabsf(inverse_of(m))}; }
+typedef struct slab { float inverse, half; } slab; /* -1 / m, 1 / |2 m|; of what is parallel far away */
 static inline void cut_slab(span *s, const lanes *at, const slab *c)
 {
     lanes middle = *at * c->inverse, low = middle - c->half, high = middle + c->half;
@@ -87,7 +84,6 @@ static inline void cut_slab(span *s, const lanes *at, const slab *c)
 
 /* at + t m >= 0: a lower bound when m > 0, an upper one when not */
 typedef struct half_plane { float inverse; bool below; } half_plane;
-static inline half_plane half_plane_of(float m) { return (half_plane){-inverse_of(m), m < -parallel}; }
 static inline void cut_half(span *s, const lanes *at, const half_plane *h)
 {
     lanes bound = *at * h->inverse;
@@ -96,19 +92,22 @@ static inline void cut_half(span *s, const lanes *at, const half_plane *h)
 }
 
 /* Green's theorem: sums over the boundary, relative to the voxel's centre. */
+typedef enum parts { AREAS, CENTRES, MOMENTS } parts; /* what is summed, each with what is before it */
 typedef struct sums { lanes area, x, y, xx, xy, yy; } sums;
 
 /* The segment (x, y) + t d */
-static inline void add(sums *s, const span *t, const lanes *x, const lanes *y, float dx, float dy, float sign, bool moments)
+static inline void add(sums *s, const span *t, const lanes *x, const lanes *y, float dx, float dy, float sign, const parts want)
 {
     const lanes zero = {0};
-    lanes length = t->end - t->begin, middle = 0.5f * (t->begin + t->end);
+    lanes length = t->end - t->begin;
     raise(&length, &zero);
-    lanes cross = (*x * dy - *y * dx) * (sign * length), mx = *x + middle * dx, my = *y + middle * dy;
+    const lanes cross = (*x * dy - *y * dx) * (sign * length);
     s->area += cross;
+    if (want == AREAS) return;
+    const lanes middle = 0.5f * (t->begin + t->end), mx = *x + middle * dx, my = *y + middle * dy;
     s->x += cross * mx;
     s->y += cross * my;
-    if (moments) {
+    if (want == MOMENTS) {
         lanes hx = 0.5f * length * dx, hy = 0.5f * length * dy;
         s->xx += cross * (3 * mx * mx + hx * hx);
         s->xy += cross * (3 * mx * my + hx * hy);
@@ -127,28 +126,39 @@ typedef struct lines {
 
 static void lines_of(const svoi_clipper *c, lines *l)
 {
+    enum { COUNT = 24 };
     const float gx = c->gradient[0], gy = c->gradient[1], g2 = gx * gx + gy * gy, slope = sqrtf(g2);
     const bool level = !(slope > parallel); /* no such lines: the whole plane lies between two */
-    l->height_x = slab_of(gx);
-    l->height_y = slab_of(gy);
-    l->dx = level ? 0 : gy / slope;
-    l->dy = level ? 0 : -gx / slope;
+    const float turn = level ? 0 : 1 / slope;
+    l->dx = gy * turn;
+    l->dy = -gx * turn;
     l->step = level ? 0 : 1 / g2;
     l->reach = level ? 0 : 2;
-    l->level_x = slab_of(l->dx);
-    l->level_y = slab_of(l->dy);
+    /* all slopes, and their reciprocals at once */
+    float m[COUNT] = {gx, gy, l->dx, l->dy}, inverse[COUNT];
     for (int k = 0; k < 3; k++) {
         const svoi_clip_edge *e = &c->edge[k];
-        l->along_x[k] = half_plane_of(e->a[0]);
-        l->along_y[k] = half_plane_of(e->a[1]);
-        l->along_level[k] = half_plane_of(e->a[0] * l->dx + e->a[1] * l->dy);
-        l->edge_x[k] = slab_of(e->d[0]);
-        l->edge_y[k] = slab_of(e->d[1]);
-        l->edge_z[k] = slab_of(e->slope);
+        m[6 * k + 4] = e->a[0];
+        m[6 * k + 5] = e->a[1];
+        m[6 * k + 6] = e->a[0] * l->dx + e->a[1] * l->dy;
+        m[6 * k + 7] = e->d[0];
+        m[6 * k + 8] = e->d[1];
+        m[6 * k + 9] = e->slope;
+    }
+    for (int i = 0; i < COUNT; i++) inverse[i] = fabsf(m[i]) > parallel ? -1 / m[i] : -1e8f;
+    slab s[COUNT];
+    for (int i = 0; i < COUNT; i++) s[i] = (slab){inverse[i], 0.5f * fabsf(inverse[i])};
+    l->height_x = s[0], l->height_y = s[1], l->level_x = s[2], l->level_y = s[3];
+    for (int k = 0; k < 3; k++) {
+        const int i = 6 * k + 4;
+        l->along_x[k] = (half_plane){inverse[i], m[i] < -parallel};
+        l->along_y[k] = (half_plane){inverse[i + 1], m[i + 1] < -parallel};
+        l->along_level[k] = (half_plane){inverse[i + 2], m[i + 2] < -parallel};
+        l->edge_x[k] = s[i + 3], l->edge_y[k] = s[i + 4], l->edge_z[k] = s[i + 5];
     }
 }
 
-static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *b, uint32_t first, const bool moments)
+static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *b, uint32_t first, const parts want)
 {
     const float gx = c->gradient[0], gy = c->gradient[1];
     const lanes zero = {0};
@@ -171,7 +181,7 @@ static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *
             value = inside[e] + at * c->edge[e].a[1];
             cut_half(&t, &value, &l->along_x[e]);
         }
-        add(&s, &t, &zero, &fixed, 1, 0, turn, moments);
+        add(&s, &t, &zero, &fixed, 1, 0, turn, want);
         t = (span){zero - 0.5f, zero + 0.5f};
         value = z + at * gx;
         cut_slab(&t, &value, &l->height_y);
@@ -179,7 +189,7 @@ static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *
             value = inside[e] + at * c->edge[e].a[0];
             cut_half(&t, &value, &l->along_y[e]);
         }
-        add(&s, &t, &fixed, &zero, 0, 1, -turn, moments);
+        add(&s, &t, &fixed, &zero, 0, 1, -turn, want);
     }
     for (int k = 0; k < 3; k++) { /* the triangle's edges */
         const svoi_clip_edge *e = &c->edge[k];
@@ -189,7 +199,7 @@ static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *
         cut_slab(&t, &px, &l->edge_x[k]);
         cut_slab(&t, &py, &l->edge_y[k]);
         cut_slab(&t, &pz, &l->edge_z[k]);
-        add(&s, &t, &px, &py, e->d[0], e->d[1], 1, moments);
+        add(&s, &t, &px, &py, e->d[0], e->d[1], 1, want);
     }
     for (int k = 0; k < 2; k++) { /* where the plane passes the floor and the ceiling */
         const float at = k == 0 ? -0.5f : 0.5f;
@@ -201,15 +211,18 @@ static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *
             lanes value = inside[e] + c->edge[e].a[0] * px + c->edge[e].a[1] * py;
             cut_half(&t, &value, &l->along_level[e]);
         }
-        add(&s, &t, &px, &py, l->dx, l->dy, k == 0 ? 1 : -1, moments);
+        add(&s, &t, &px, &py, l->dx, l->dy, k == 0 ? 1 : -1, want);
     }
     lanes whole = s.area;
     clamp(&whole, 1e-6f, 4);
+    const lanes area = 0.5f * c->per_area * (whole - 1e-6f);
+    memcpy(b->area + first, &area, sizeof area);
+    if (want == AREAS) return;
     const lanes inverse = 1 / whole;
-    lanes cx = s.x * inverse * (2.0f / 3), cy = s.y * inverse * (2.0f / 3), area = 0.5f * c->per_area * (whole - 1e-6f);
+    lanes cx = s.x * inverse * (2.0f / 3), cy = s.y * inverse * (2.0f / 3);
     clamp(&cx, -0.5f, 0.5f);
     clamp(&cy, -0.5f, 0.5f);
-    if (moments) {
+    if (want == MOMENTS) {
         lanes xx = s.xx * inverse * (1.0f / 6) - cx * cx, yy = s.yy * inverse * (1.0f / 6) - cy * cy, xy = s.xy * inverse * (1.0f / 6) - cx * cy;
         clamp(&xx, 0, 0.25f);
         clamp(&yy, 0, 0.25f);
@@ -220,18 +233,22 @@ static inline void clip(const svoi_clipper *c, const lines *l, svoi_clip_batch *
     }
     cx += x;
     cy += y;
-    memcpy(b->area + first, &area, sizeof area);
     memcpy(b->cx + first, &cx, sizeof cx);
     memcpy(b->cy + first, &cy, sizeof cy);
 }
 
-void svoi_clip(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, bool moments)
+static inline void clip_all(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, const parts want)
 {
     lines l;
     lines_of(c, &l);
     for (; count % LANES != 0; count++) b->x[count] = b->x[0], b->y[count] = b->y[0], b->z[count] = b->z[0];
-    if (moments)
-        for (uint32_t i = 0; i < count; i += LANES) clip(c, &l, b, i, true);
-    else
-        for (uint32_t i = 0; i < count; i += LANES) clip(c, &l, b, i, false);
+    for (uint32_t i = 0; i < count; i += LANES) clip(c, &l, b, i, want);
 }
+
+void svoi_clip(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, bool moments)
+{
+    if (moments) clip_all(c, b, count, MOMENTS);
+    else clip_all(c, b, count, CENTRES);
+}
+
+void svoi_clip_areas(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count) { clip_all(c, b, count, AREAS); }

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "svoi_channel.h"
 #include "svoi_shade.h"
 
 /* --- where -------------------------------------------------------------------------------------------------------- */
@@ -47,7 +48,7 @@ void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l)
 {
     place(t, l);
     if (t->inside || !t->clips) uncut(t, l);
-    else svoi_clip(&t->clipper, &l->clip, l->count, false);
+    else svoi_clip_areas(&t->clipper, &l->clip, l->count);
 }
 
 static void find_barycentric(const svo_facet *t, svoi_lanes *l)
@@ -420,8 +421,12 @@ static void write_normals(const svoi_lanes *l, const uint32_t *index, uint32_t c
 
 static void write_colors(float (*color)[SVOI_LANES], const uint32_t *index, uint32_t count, uint8_t *out)
 {
-    for (uint32_t i = 0; i < count; i++)
-        for (int k = 0; k < 3; k++) out[3 * (uint64_t)index[i] + (uint64_t)k] = svo_linear_to_srgb(color[k][i]);
+    uint8_t bytes[3][SVOI_LANES];
+    for (int k = 0; k < 3; k++) svoi_linear_to_srgb(color[k], count, bytes[k]);
+    for (uint32_t i = 0; i < count; i++) {
+        uint8_t *to = out + 3 * (uint64_t)index[i];
+        to[0] = bytes[0][i], to[1] = bytes[1][i], to[2] = bytes[2][i];
+    }
 }
 
 static void write_bytes(const float *v, const uint32_t *index, uint32_t count, uint8_t *out)
@@ -444,23 +449,33 @@ void svoi_lanes_write(const svo_shade_layout *layout, svoi_lanes *l, uint8_t *co
     write_all(layout, l, l->target, l->count, channels);
 }
 
-void svoi_lanes_write_flat(const svo_shade_layout *layout, const svo_contribution *c, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS])
+void svoi_flat_values(const svo_shade_layout *layout, const svo_contribution *c, svoi_values *out)
 {
     uint64_t sums[32] = {0};
-    uint8_t v[SVO_MAX_CHANNELS][SVO_MAX_STRIDE];
     svo_contribution own = *c;
     svo_contribution_weigh(&own, 1 << 24);
     svo_shade_add(layout, &own, sums);
-    svo_shade_value(layout, sums, v);
-    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[3] = {layout->metallic, layout->roughness, layout->coverage};
+    svo_shade_value(layout, sums, out->of);
+}
+
+void svoi_lanes_write_flat(const svo_shade_layout *layout, const svoi_values *v, const svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[3] = {layout->metallic, layout->roughness, layout->coverage}, count = l->count;
     for (int n = 0; n < 3; n++) {
-        if (n < 2 && colors[n] < SVO_MAX_CHANNELS)
-            for (uint32_t i = 0; i < l->count; i++) memcpy(channels[colors[n]] + 3 * (uint64_t)l->target[i], v[colors[n]], 3);
+        if (n < 2 && colors[n] < SVO_MAX_CHANNELS) {
+            uint8_t c[3], *to = channels[colors[n]];
+            memcpy(c, v->of[colors[n]], 3);
+            for (uint32_t i = 0; i < count; i++) memcpy(to + 3 * (uint64_t)l->target[i], c, 3);
+        }
         if (bytes[n] < SVO_MAX_CHANNELS)
-            for (uint32_t i = 0; i < l->count; i++) channels[bytes[n]][l->target[i]] = v[bytes[n]][0];
+            for (uint32_t i = 0; i < count; i++) channels[bytes[n]][l->target[i]] = v->of[bytes[n]][0];
     }
-    if (layout->normal < SVO_MAX_CHANNELS)
-        for (uint32_t i = 0; i < l->count; i++) memcpy(channels[layout->normal] + 4 * (uint64_t)l->target[i], v[layout->normal], 4);
+    if (layout->normal < SVO_MAX_CHANNELS) {
+        uint32_t normal;
+        uint8_t *to = channels[layout->normal];
+        memcpy(&normal, v->of[layout->normal], 4);
+        for (uint32_t i = 0; i < count; i++) memcpy(to + 4 * (uint64_t)l->target[i], &normal, 4);
+    }
 }
 
 void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *l, const uint64_t *sums, const uint32_t *index, uint32_t count,

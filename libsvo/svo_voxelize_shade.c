@@ -94,6 +94,7 @@ static const svo_contribution *flat_contribution(svoi_scan *s)
         svo_piece piece;
         svo_facet_piece(&s->facet, &piece);
         svo_facet_contribution(s->r->shader, &s->facet, &piece, s->shift, &s->flat);
+        svoi_flat_values(s->layout, &s->flat, &s->flat_values);
         s->flat_ready = true;
     }
     return &s->flat;
@@ -120,7 +121,8 @@ static void flush_alone(svoi_scan *s)
     svoi_lanes *l = &s->alone;
     if (l->count == 0) return;
     if (s->facet.flat) {
-        svoi_lanes_write_flat(s->layout, flat_contribution(s), l, s->channels);
+        flat_contribution(s);
+        svoi_lanes_write_flat(s->layout, &s->flat_values, l, s->channels);
     } else {
         svoi_lanes_values(s->r->shader, &s->facet, l);
         svoi_lanes_write(s->layout, l, s->channels);
@@ -147,6 +149,50 @@ static inline void shade_voxel(svoi_scan *s, uint32_t code)
         if (push(&s->shared, code, (uint32_t)(index - s->slice_begin))) flush_shared(s);
     } else if (s->first_slice && !s->facet.masks) { /* voxels that a masked facet is seen in are averaged */
         if (push(&s->alone, code, svo_block_index(b, code))) flush_alone(s);
+    }
+}
+
+/* Work on the first batch of what waits, `count` voxels, and keep the rest. */
+static void flush_batch(svoi_scan *s, svoi_lanes *l, uint32_t count, void (*flush)(svoi_scan *))
+{
+    const uint32_t rest = count - SVOI_LANES;
+    l->count = SVOI_LANES;
+    flush(s);
+    memcpy(l->code, l->code + SVOI_LANES, rest * sizeof *l->code);
+    memcpy(l->target, l->target + SVOI_LANES, rest * sizeof *l->target);
+    l->count = rest;
+}
+
+/* The same as shade_voxel for all voxels of a facet that were remembered, where all of them exist and the facet is seen in all. Whether a voxel
+ * has other triangles cannot be foreseen, so there is no branch on it. */
+static void shade_remembered(svoi_scan *s, uint64_t i)
+{
+    const svo_block *b = s->w->block;
+    svoi_lanes *shared = &s->shared, *alone = &s->alone;
+    const uint32_t *starts = (const uint32_t *)(const void *)s->w->starts.data, *visits = (const uint32_t *)(const void *)s->w->visits.data;
+    const uint64_t begin = s->slice_begin, size = s->slice_end - begin;
+    for (uint32_t at = starts[i], end = starts[i + 1]; at < end;) {
+        const uint32_t stop = end - at < SVOI_LANES ? end : at + SVOI_LANES;
+        uint32_t n = shared->count, m = alone->count, last = m;
+        for (; at < stop; at++) {
+            const uint32_t code = visits[at], met = b->complex[code >> 6] >> (code & 63) & 1;
+            shared->code[n] = alone->code[m] = code;
+            n += met;
+            m += 1 - met;
+        }
+        uint32_t kept = shared->count;
+        for (uint32_t k = kept; k < n; k++) {
+            const uint64_t index = svo_block_complex_index(b, shared->code[k]) - begin;
+            shared->code[kept] = shared->code[k];
+            shared->target[kept] = (uint32_t)index;
+            kept += index < size;
+        }
+        shared->count = kept;
+        if (kept >= SVOI_LANES) flush_batch(s, shared, kept, flush_shared);
+        if (!s->first_slice) continue;
+        for (; last < m; last++) alone->target[last] = svo_block_index(b, alone->code[last]);
+        alone->count = m;
+        if (m >= SVOI_LANES) flush_batch(s, alone, m, flush_alone);
     }
 }
 
@@ -245,7 +291,8 @@ static void shade_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_
         svo_record record;
         svoi_load_triangle(s, list[i], &record);
         svoi_load_facet(s, list[i], &record);
-        visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
+        if (s->recording && !s->r->masks) shade_remembered(s, i);
+        else visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
         flush_shared(s);
         flush_alone(s);
     }

@@ -45,6 +45,8 @@ typedef struct svoi_clip_batch {
 
 /* Entries 0 .. count - 1; the input of the rest, up to a multiple of 8, is overwritten. */
 void svoi_clip(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, bool moments);
+/* The areas alone, the same to the bit. */
+void svoi_clip_areas(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count);
 
 #ifdef __cplusplus
 }

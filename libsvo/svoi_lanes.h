@@ -10,8 +10,8 @@ enum { SVOI_LANES = SVOI_CLIP_BATCH };
 
 typedef struct svoi_lanes {
     uint32_t count;
-    uint32_t code[SVOI_LANES];   /* local Morton codes */
-    uint32_t target[SVOI_LANES]; /* number among the voxels that are averaged now, or among all */
+    uint32_t code[2 * SVOI_LANES];   /* local Morton codes; more than a batch of them may wait */
+    uint32_t target[2 * SVOI_LANES]; /* number among the voxels that are averaged now, or among all */
     svoi_clip_batch clip;
     float b[3][SVOI_LANES];      /* barycentric coordinates of the centroids */
     float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES], coverage[SVOI_LANES]; /* 0..1; normals unit */
@@ -29,7 +29,9 @@ void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution 
 void svoi_lanes_add_areas(const svoi_lanes *l, uint32_t shift, uint64_t *sums); /* sums[target] */
 /* To bytes, at channels[c] + target * stride, of the channels that have a pointer (not: the material). */
 void svoi_lanes_write(const svo_shade_layout *layout, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
-void svoi_lanes_write_flat(const svo_shade_layout *layout, const svo_contribution *c, svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
+typedef struct svoi_values { uint8_t of[SVO_MAX_CHANNELS][SVO_MAX_STRIDE]; } svoi_values;
+void svoi_flat_values(const svo_shade_layout *layout, const svo_contribution *c, svoi_values *out); /* of a voxel that has this contribution alone */
+void svoi_lanes_write_flat(const svo_shade_layout *layout, const svoi_values *v, const svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
 /* The same for averages: sums of `count` voxels in order, to the values with the numbers in index. */
 void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *scratch, const uint64_t *sums, const uint32_t *index, uint32_t count,
                      uint8_t *const channels[SVO_MAX_CHANNELS]);

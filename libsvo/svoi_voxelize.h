@@ -118,7 +118,8 @@ typedef struct svoi_scan {
     uint64_t slice_begin, slice_end; /* complex voxels averaged now */
     bool first_slice;
     bool flat_ready;
-    svo_contribution flat; /* of a flat facet, made when first used */
+    svo_contribution flat; /* of a flat facet, made when first used, and what a voxel has that it has alone */
+    svoi_values flat_values;
     svoi_lanes shared, alone; /* voxels of the facet that wait for their values: met by others too, or not */
     uint8_t *channels[SVO_MAX_CHANNELS];
     uint64_t *sums;
