@@ -19,3 +19,13 @@ pkg_check_modules(XXHASH REQUIRED IMPORTED_TARGET libxxhash)
 pkg_check_modules(JANSSON REQUIRED IMPORTED_TARGET jansson)
 find_path(TINYGLTF_INCLUDE_DIR tiny_gltf.h REQUIRED)
 find_path(NLOHMANN_INCLUDE_DIR nlohmann/json.hpp REQUIRED)
+
+# Optional: .vdb and .nvdb are written where these are there. OpenVDB's own FindOpenVDB is a module beside its other CMake files. Not in builds with sanitizers:
+# its TBB is not instrumented.
+option(SVO_WITH_OPENVDB "Write .vdb and .nvdb where libopenvdb and libnanovdb are found" ON)
+if(SVO_WITH_OPENVDB)
+  find_path(OPENVDB_INCLUDE_DIR openvdb/openvdb.h)
+  find_path(NANOVDB_INCLUDE_DIR nanovdb/NanoVDB.h)
+  find_library(OPENVDB_LIBRARY openvdb)
+  find_library(TBB_LIBRARY tbb)
+endif()

@@ -8,6 +8,14 @@
 #include "svo_stream.h"
 #include "svo_view.h"
 
+/* What --export was asked for. */
+typedef struct dump_export {
+    const char *path; /* NULL: nothing */
+    bool rgba, has_level, has_low, has_high;
+    uint64_t level, limit;
+    double low[3], high[3];
+} dump_export;
+
 /* What is to be done with one file. */
 typedef struct dump_job {
     cli *c;
@@ -18,6 +26,7 @@ typedef struct dump_job {
     bool quick;         /* hashes only; nothing that needs decoding */
     const char *voxels; /* PLY to write, or NULL */
     uint64_t limit;     /* voxels that --voxels may write */
+    dump_export export;
     const char *html;   /* page to write, or NULL */
     uint64_t html_size; /* its bytes at most */
     const char *source; /* .svo to hold a .svdag against, or NULL */
@@ -32,6 +41,8 @@ svo_result dump_against_source(dump_job *j, const svo_view *v, const char *prove
 svo_result dump_scene(dump_job *j, svo_error *err);
 svo_result dump_skel(dump_job *j, svo_error *err);
 
+/* Write j->export.path. */
+svo_result dump_export_file(dump_job *j, svo_error *err);
 /* Write j->html: a page that draws the file. j->json is already filled, and shown on it. */
 svo_result dump_html(dump_job *j, svo_error *err);
 

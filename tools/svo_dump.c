@@ -21,6 +21,7 @@ static svo_result dump_kind(dump_job *j, svo_error *err)
 static svo_result dump_bytes(dump_job *j, svo_error *err)
 {
     SVO_TRY(dump_kind(j, err));
+    if (j->export.path != NULL) SVO_TRY(dump_export_file(j, err));
     return j->html != NULL ? dump_html(j, err) : SVO_OK;
 }
 
@@ -81,7 +82,7 @@ static json_t *verdict(const dump_job *j, svo_result r, const svo_error *err)
     return o;
 }
 
-typedef struct dump_options { bool json, validate, quick; const char *voxels, *source, *html; uint64_t limit, html_size; } dump_options;
+typedef struct dump_options { bool json, validate, quick; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
 
 /* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
 static svo_result run(cli *c, const dump_options *o, svo_error *err)
@@ -96,7 +97,9 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
                       .voxels = o->voxels, .limit = o->limit, .source = o->source, .html = o->html, .html_size = o->html_size,
-                      .json = json_object()};
+                      .export = o->export, .json = json_object()};
+        j.export.rgba = o->volume == 1;
+        j.export.limit = o->limit;
         svo_result r = dump_file(&j, &e);
         if (r != SVO_OK) {
             if (first == SVO_OK) first = r, *err = e;
@@ -118,6 +121,8 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
     return first;
 }
 
+static const char *const volumes[] = {"filled", "rgba", NULL};
+
 int main(int argc, char **argv)
 {
     dump_options o = {.limit = (uint64_t)1 << 31, .html_size = (uint64_t)16 << 20};
@@ -128,7 +133,17 @@ int main(int argc, char **argv)
          .help = "With --validate of a .svdag: hold it against the octree it was made from: voxels, attributes and the error bounds it promises."},
         {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
          .help = "Write every finest voxel to a binary PLY point cloud; - is stdout, then nothing else is printed."},
-        {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels writes."},
+        {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels and --export write."},
+        {.name = "export", .kind = CLI_TEXT, .value = &o.export.path, .argument = "OUT", .no_default = true, .group = "Export",
+         .help = "Write the voxels for other programs, by the ending of OUT: .ply or .glb (mesh of their faces), .vox, .nrrd, .raw, .vdb, .nvdb."},
+        {.name = "level", .kind = CLI_U64, .value = &o.export.level, .argument = "L", .max = SVO_MAX_DEPTH, .seen = &o.export.has_level, .no_default = true, .group = "Export",
+         .help = "Export the nodes of this level as voxels instead of the finest ones."},
+        {.name = "low", .kind = CLI_VEC3, .value = o.export.low, .argument = "x,y,z", .seen = &o.export.has_low, .no_default = true, .group = "Export",
+         .help = "First cell of the box to export, in cells of the exported level."},
+        {.name = "high", .kind = CLI_VEC3, .value = o.export.high, .argument = "x,y,z", .seen = &o.export.has_high, .no_default = true, .group = "Export",
+         .help = "Last cell of the box to export."},
+        {.name = "volume", .kind = CLI_CHOICE, .value = &o.volume, .argument = "WHAT", .choices = volumes, .group = "Export",
+         .help = "What a cell of a .nrrd or .raw volume is: a byte (255 in voxels), or red, green, blue and 255."},
         {.name = "html", .kind = CLI_TEXT, .value = &o.html, .argument = "OUT.html", .no_default = true,
          .help = "Write one page that draws the octree or scene in a browser (WebGL 2), without a server or network; - is stdout."},
         {.name = "html-size", .kind = CLI_SIZE, .value = &o.html_size, .argument = "SIZE", .min = 1 << 17, .max = 1u << 30,
@@ -138,12 +153,12 @@ int main(int argc, char **argv)
     cli_tool tool = {
         .name = "svo-dump",
         .summary = "Show what is in a file of this toolchain, check it, and write its voxels as points.",
-        .synopsis = "FILE... [--json] [--validate] [--voxels OUT.ply] [--html OUT.html]",
+        .synopsis = "FILE... [--json] [--validate] [--voxels OUT.ply] [--html OUT.html] [--export OUT.glb]",
         .options = options,
         .option_count = sizeof options / sizeof options[0],
         .details = "FILE is a .svo, .svdag, .svscene or .skel, told apart by content; - is stdin.\n"
                    "A damaged file ends with exit code 3 and a message that names the chunk, the byte and the rule that is broken.",
-        .example = "svo-dump bunny.svo\nsvo-dump --json bunny.svdag\nsvo-dump bunny.svdag --voxels bunny.ply\nsvo-dump city.svscene --html city.html",
+        .example = "svo-dump bunny.svo\nsvo-dump --json bunny.svdag\nsvo-dump bunny.svdag --voxels bunny.ply\nsvo-dump city.svscene --html city.html\nsvo-dump bunny.svo --export bunny.vox --level 8",
         .min_inputs = 1,
         .max_inputs = -1,
     };
@@ -155,6 +170,8 @@ int main(int argc, char **argv)
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
+    if (o.export.path == NULL && (o.export.has_level || o.export.has_low || o.export.has_high || o.volume != 0)) return cli_usage(&c, "--level, --low, --high and --volume need --export");
+    if (o.export.path != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--export takes one FILE and excludes --validate");
     if (o.html != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--html takes one FILE and excludes --validate");
     if (o.html != NULL && strcmp(o.html, "-") == 0 && (o.json || (o.voxels != NULL && strcmp(o.voxels, "-") == 0)))
         return cli_usage(&c, "--html - and another output would both write to stdout");

@@ -1,0 +1,58 @@
+/* Cells of a grid, to be written in the formats of other programs: as a mesh of their faces, as voxels, as a dense volume. docs/tools/svo-dump.md
+ * says what becomes of axes, colours and sizes. */
+#ifndef FMT_CELLS_H
+#define FMT_CELLS_H
+
+#include "fmt_file.h"
+#include "svo_alloc.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct fmt_cell {
+    uint32_t at[3]; /* < 2^21 each; no cell twice */
+    uint8_t rgb[4]; /* sRGB; the last one 255 */
+} fmt_cell;
+
+typedef struct fmt_cells {
+    const fmt_cell *cell; /* borrowed */
+    uint64_t count;
+    uint32_t low[3], high[3]; /* part of the grid that is wanted, both inclusive; all cells lie in it */
+    double to_world[16];      /* cell corners to the world, row-major, affine */
+    bool colored;             /* the colours mean something */
+    const svo_allocator *allocator;
+} fmt_cells;
+
+/* Faces between a cell and what is no cell, those of one plane and colour that form a rectangle merged row by row. Corners of neighbouring rectangles need not
+ * meet (T-junctions). Same cells in any order, same faces. */
+typedef struct fmt_cell_face {
+    uint32_t slice;      /* the plane's coordinate */
+    uint32_t low[2], high[2]; /* along the axes after `axis`, cyclically; corners */
+    uint8_t axis, up;    /* up: the outside is on the side of larger coordinates */
+    uint8_t rgb[4];
+} fmt_cell_face;
+/* Memory: 40 bytes a cell beside the faces. *out holds fmt_cell_face. */
+svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err);
+
+/* Quads with their corners in the world (double) and sRGB colours. Binary little-endian PLY. */
+svo_result fmt_cells_ply(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err);
+/* Triangles in grid coordinates, under a node whose matrix is to_world; COLOR_0 linear in 16 bits; unlit-friendly flat normals. A .glb has at most 4 GB. */
+svo_result fmt_cells_glb(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err);
+
+/* MagicaVoxel: models of at most 256^3, +Z up, centred over the origin. More than 255 colours are reduced (median cut, then five rounds of k-means, in CIE L*a*b*);
+ * the differences are CIE94, graphic arts, as everywhere. */
+typedef struct fmt_vox_report {
+    uint64_t models, colors; /* colours before the reduction */
+    double delta_mean, delta_max;
+} fmt_vox_report;
+svo_result fmt_cells_vox(const fmt_cells *c, fmt_output *out, fmt_vox_report *report, svo_error *err);
+
+/* All cells of low..high, x fastest, one byte (0 or 255) or four (R G B 255, or 0 0 0 0). With a NRRD header (detached = false: "raw" has none). Memory: the
+ * volume. */
+svo_result fmt_cells_dense(const fmt_cells *c, bool rgba, bool header, fmt_output *out, svo_error *err);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
