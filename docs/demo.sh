@@ -2,7 +2,7 @@
 # The main job from a fresh Debian 12 to a picture:  docs/demo.sh [OUT]
 # Installs packages, builds the tools, takes textured models (CC0) from the Debian package sweethome3d-furniture, and
 # voxelizes, compresses, measures, packs and renders them. Leaves in OUT (default: out) picture.png, summary.txt,
-# report.json, and every file in between. May be run again: finished packages and builds are kept, OUT's files are made anew.
+# report.json, scene.html (the scene in a browser), and every file in between. May be run again: finished packages and builds are kept, OUT's files are made anew.
 set -eu
 cd "$(dirname -- "$0")/.."
 out=${1:-out}
@@ -34,5 +34,6 @@ for f in chair.svo chair.svdag chair.skel scene.svscene; do
     "$bin/svo-dump" --validate "$f"
 done
 "$bin/svo-dump" --json scene.svscene >scene-dump.json
+"$bin/svo-dump" scene.svscene --html scene.html --force >/dev/null
 python3 "$root/docs/summarize.py" .
-echo "picture: $PWD/picture.png   summary: $PWD/summary.txt   report: $PWD/report.json"
+echo "picture: $PWD/picture.png   summary: $PWD/summary.txt   report: $PWD/report.json   to walk around in, with a browser: $PWD/scene.html"
