@@ -48,21 +48,30 @@ static bool wants_lod(const svo_view *v, const svo_ray *rays, uint32_t count)
     return any;
 }
 
+static void trace_one(const svo_rays *r, svoi_ray_cache *cache, const svo_ray *rays, uint32_t i, svo_hit *hits, bool *blocked)
+{
+    if (hits != NULL) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
+    else blocked[i] = svoi_ray_blocked(r->view, cache, &rays[i]);
+}
+
 /* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
 static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked)
 {
     bool lod = wants_lod(r->view, rays, count);
     svoi_rays_prepare_avx512(r, rays, count, lod, b);
     svoi_rays_trace_avx512(r, lod, b);
-    for (uint32_t i = 0; i < count; i++) {
-        int32_t state = b->state[i], at[3] = {b->at[0][i], b->at[1][i], b->at[2][i]};
+    if (hits != NULL) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
+    else memset(blocked, 0, count * sizeof *blocked);
+    for (uint32_t i = 0; i < (count + 7) / 8; i++)
+        for (uint32_t rest = b->unsure[i]; rest != 0; rest &= rest - 1) trace_one(r, cache, rays, 8 * i + (uint32_t)__builtin_ctz(rest), hits, blocked);
+    for (uint32_t j = 0; j < b->found; j++) {
+        uint32_t i = (uint32_t)b->found_ray[j];
+        int32_t state = b->state[j], at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
         svoi_ray_place place;
         svo_hit unused, *hit = hits != NULL ? &hits[i] : &unused;
-        memset(hit, 0, sizeof *hit); /* its padding too: hits can be compared as bytes */
-        bool sure = state == 0 || (state != SVOI_RAY_DOUBT && ((hits == NULL && !lod) || found(r, &rays[i], lod, state, at, &place, hit)));
-        if (hits == NULL) blocked[i] = sure ? state != 0 : svoi_ray_blocked(r->view, cache, &rays[i]);
-        else if (!sure) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
-        else if (state != 0) hit->attribute = svoi_ray_attribute(r->view, cache, &place);
+        if (state == SVOI_RAY_DOUBT || ((hits != NULL || lod) && !found(r, &rays[i], lod, state, at, &place, hit))) trace_one(r, cache, rays, i, hits, blocked);
+        else if (hits != NULL) hit->attribute = svoi_ray_attribute(r->view, cache, &place);
+        else blocked[i] = true;
     }
 }
 

@@ -1,8 +1,9 @@
 /* 16 rays in one stream of instructions, for processors with AVX-512 (see docs/design/003-ray-casting.md).
  *
- * Each lane is a ray in a cell of a node. In every round lanes whose cell is filled go down to the child, unless the ray misses
- * the box of what is in it; all others leave their cell (or the empty 2x2x2 block of cells around it) through its nearest far
- * planes. When few lanes are left, the empty ones are given new rays.
+ * Each lane is a ray in a cell of a node. A round has no branches but those that all lanes take together: every lane loads its
+ * node; one whose cell is filled goes down to the child; all others leave their cell, the empty 2x2x2 block of cells
+ * around it, or, where what is left of the ray misses the box of what is in the node, the whole node, through the nearest far
+ * planes, and find the node they are in then on a stack. When few lanes are left, the empty ones are given new rays.
  *
  * Why the hits are those of svo_raycast: which planes are nearest is decided with the same doubles. Which cell the ray
  * is in along the other axes follows from origin + t * direction in fixed point, whose error is far below one unit (2^-30 of
@@ -20,7 +21,7 @@
 
 /* Lanes are refilled when this many or fewer are left: each time costs about as much as a round. */
 #ifndef REFILL
-#define REFILL 6
+#define REFILL 8
 #endif
 
 bool svoi_rays_have_avx512(void)
@@ -93,7 +94,7 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         }
         meets &= (__mmask8)~doubt;
         __m256i number = _mm256_add_epi32(_mm256_set1_epi32((int)i), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
-        _mm256_storeu_si256((__m256i *)&b->state[i], _mm256_maskz_set1_epi32(doubt, SVOI_RAY_DOUBT));
+        b->unsure[i / 8] = doubt;
         /* Close the ranks. Writing past `kept` is harmless: later rays are read before. */
         for (int k = 0; k < 3; k++) {
             _mm512_storeu_pd(&b->o[k][kept], _mm512_maskz_compress_pd(meets, o[k]));
@@ -120,23 +121,27 @@ typedef struct pair { __m512d a, b; } pair;
 
 typedef struct lanes {
     pair o[3], d[3], inv[3], t, t_max, spread, offset;
-    __m512i q[3];          /* where the ray is */
-    __m512i s;             /* log2 of the edge of the node's cells */
-    __m512i low, high, children, ray;
-    __m512i positive[3];   /* -1 where the direction is positive, else 0 */
-    __m512i backward[3];   /* -1 where it is negative, else 0 */
-    __m512 step[3];        /* 1 / direction, for tests that need not be exact */
+    __m512i q[3];        /* where the ray is */
+    __m512i s;           /* log2 of the edge of the node's cells */
+    __m512i node;        /* its unit */
+    __m512i ray, state;  /* state: of lanes that have finished, see svoi_ray_batch */
+    __m512i positive[3]; /* -1 where the direction is positive, else 0 */
+    __m512i backward[3]; /* -1 where it is negative, else 0 */
+    __m512 step[3];      /* 1 / direction, for tests that need not be exact */
 } lanes;
 
 INLINE __m512d low_doubles(__m512i x) { return _mm512_cvtepi32_pd(_mm512_castsi512_si256(x)); }
 INLINE __m512d high_doubles(__m512i x) { return _mm512_cvtepi32_pd(_mm512_extracti64x4_epi64(x, 1)); }
 INLINE __mmask16 both(__mmask8 a, __mmask8 b) { return (__mmask16)(a | (uint32_t)b << 8); }
+INLINE __m512i word(int x) { return _mm512_set1_epi32(x); }
+INLINE __m512i choose(__mmask16 m, __m512i yes, __m512i no) { return _mm512_mask_mov_epi32(no, m, yes); }
 
-/* The unit of 16 bytes at `units + at` of every lane: four words. */
+/* The 16 bytes at `units + at` of every lane, as four words. Loads and shuffles take half the time of gathers. */
 INLINE void load_nodes(const uint64_t *units, __m512i at, __m512i out[4])
 {
     _Alignas(64) uint32_t i[16];
     _mm512_store_si512(i, at);
+    __asm__ volatile("" : : "r"(i) : "memory"); /* through memory: faster than taking the register apart */
 #define LOAD(k) _mm_loadu_si128((const __m128i *)(units + i[k]))
 #define FOUR(k) _mm512_inserti32x4(_mm512_inserti32x4(_mm512_inserti32x4(_mm512_castsi128_si512(LOAD(k)), LOAD((k) + 4), 1), LOAD((k) + 8), 2), LOAD((k) + 12), 3)
     __m512i r0 = FOUR(0), r1 = FOUR(1), r2 = FOUR(2), r3 = FOUR(3);
@@ -155,7 +160,7 @@ INLINE pair fill_pair(pair p, const double *from, __mmask16 m, uint32_t low_coun
 }
 
 /* New rays for the lanes `m`, from number `next` of the batch on. */
-INLINE void fill(lanes *l, const svoi_ray_batch *b, const uint64_t *root, bool lod, __mmask16 m, uint32_t next)
+INLINE void fill(lanes *l, const svoi_ray_batch *b, bool lod, __mmask16 m, uint32_t next)
 {
     uint32_t low_count = (uint32_t)__builtin_popcount(m & 0xff);
     for (int k = 0; k < 3; k++) {
@@ -175,190 +180,217 @@ INLINE void fill(lanes *l, const svoi_ray_batch *b, const uint64_t *root, bool l
         l->offset = fill_pair(l->offset, &b->offset[next], m, low_count);
     }
     l->ray = _mm512_mask_expand_epi32(l->ray, m, _mm512_loadu_si512(&b->ray[next]));
-    l->s = _mm512_mask_mov_epi32(l->s, m, _mm512_set1_epi32(SVOI_RAYS_BITS - 2));
-    l->low = _mm512_mask_mov_epi32(l->low, m, _mm512_set1_epi32((int)(uint32_t)root[0]));
-    l->high = _mm512_mask_mov_epi32(l->high, m, _mm512_set1_epi32((int)(uint32_t)(root[0] >> 32)));
-    l->children = _mm512_mask_mov_epi32(l->children, m, _mm512_set1_epi32((int)(uint32_t)root[1]));
+    l->s = choose(m, word(SVOI_RAYS_BITS - 2), l->s);
+    l->node = choose(m, _mm512_setzero_si512(), l->node);
 }
 
-/* Nodes on the way down, by half of s. */
-typedef struct kept { __m512i low, high, children; } kept;
-
-INLINE void push(kept *stack, const lanes *l, __mmask16 m)
+/* Results of lanes that have finished with something to tell. */
+INLINE void flush(const lanes *l, __mmask16 m, svoi_ray_batch *b)
 {
-    _Alignas(64) uint32_t s[16];
-    _mm512_store_si512(s, l->s);
-    while (m != 0) {
-        uint32_t level = s[__builtin_ctz(m)];
-        __mmask16 same = _mm512_mask_cmpeq_epi32_mask(m, l->s, _mm512_set1_epi32((int)level));
-        kept *k = &stack[level / 2];
-        _mm512_mask_store_epi32(&k->low, same, l->low);
-        _mm512_mask_store_epi32(&k->high, same, l->high);
-        _mm512_mask_store_epi32(&k->children, same, l->children);
-        m &= (__mmask16)~same;
+    _mm512_storeu_si512(&b->found_ray[b->found], _mm512_maskz_compress_epi32(m, l->ray));
+    _mm512_storeu_si512(&b->state[b->found], _mm512_maskz_compress_epi32(m, l->state));
+    for (int k = 0; k < 3; k++) _mm512_storeu_si512(&b->at[k][b->found], _mm512_maskz_compress_epi32(m, l->q[k]));
+    b->found += (uint32_t)__builtin_popcount(m);
+}
+
+/* spread * t + offset */
+INLINE pair limit_at(const lanes *l, pair t)
+{
+    pair p = {_mm512_add_pd(_mm512_mul_pd(l->spread.a, t.a), l->offset.a), _mm512_add_pd(_mm512_mul_pd(l->spread.b, t.b), l->offset.b)};
+    return p;
+}
+/* Lanes where 2^s is at most the limit. */
+INLINE __mmask16 within(__m512i s, pair limit)
+{
+    __m512i e = _mm512_add_epi32(s, word(1023)); /* exponent of a double */
+    __m512d a = _mm512_castsi512_pd(_mm512_slli_epi64(_mm512_cvtepi32_epi64(_mm512_castsi512_si256(e)), 52));
+    __m512d b = _mm512_castsi512_pd(_mm512_slli_epi64(_mm512_cvtepi32_epi64(_mm512_extracti64x4_epi64(e, 1)), 52));
+    return both(_mm512_cmp_pd_mask(a, limit.a, _CMP_LE_OQ), _mm512_cmp_pd_mask(b, limit.b, _CMP_LE_OQ));
+}
+
+/* Lanes that miss the box of what is inside their node from here on. The box is made a little larger: by two units for the
+ * position, and for the rounding of floats. With a level of detail, nodes count as full that are small enough where the ray leaves the node
+ * or before, so the box is widened to whole nodes of that size. */
+INLINE __mmask16 misses_box(const lanes *l, __m512i box, bool lod)
+{
+    __m512i s = l->s, sub = _mm512_sub_epi32(s, word(2)), keep = _mm512_sllv_epi32(word(-1), _mm512_add_epi32(s, word(2)));
+    __m512i margin = _mm512_add_epi32(_mm512_srlv_epi32(word(1 << 15), _mm512_sub_epi32(word(30), s)), word(2));
+    __m512i beyond = _mm512_add_epi32(_mm512_sllv_epi32(word(1), sub), margin), field = word(15);
+    __m512i corner[3];
+    for (int k = 0; k < 3; k++) corner[k] = _mm512_sub_epi32(_mm512_and_si512(l->q[k], keep), l->q[k]);
+    if (lod) {
+        __m512 leave = _mm512_set1_ps(INFINITY);
+        __m512i size = _mm512_sllv_epi32(word(1), _mm512_add_epi32(s, word(2)));
+        for (int k = 0; k < 3; k++) {
+            __m512i far = _mm512_add_epi32(corner[k], _mm512_and_si512(size, l->positive[k]));
+            leave = _mm512_min_ps(leave, _mm512_mul_ps(_mm512_cvtepi32_ps(far), l->step[k]));
+        }
+        leave = _mm512_mul_ps(leave, _mm512_set1_ps(1.0001f));
+        pair t = {_mm512_add_pd(l->t.a, _mm512_cvtps_pd(_mm512_castps512_ps256(leave))), _mm512_add_pd(l->t.b, _mm512_cvtps_pd(_mm512_extractf32x8_ps(leave, 1)))};
+        pair limit = limit_at(l, t);
+        __m512i whole = _mm512_maskz_mov_epi32(within(_mm512_sub_epi32(s, word(1)), limit), word(0x111));
+        whole = choose(within(s, limit), word(0x333), whole);
+        whole = choose(within(_mm512_add_epi32(s, word(1)), limit), word(0x777), whole);
+        box = _mm512_or_si512(_mm512_andnot_si512(whole, box), _mm512_slli_epi32(whole, 12));
     }
-}
-
-INLINE void pop(const kept *stack, lanes *l, __mmask16 m)
-{
-    _Alignas(64) uint32_t s[16];
-    _mm512_store_si512(s, l->s);
-    while (m != 0) {
-        uint32_t level = s[__builtin_ctz(m)];
-        __mmask16 same = _mm512_mask_cmpeq_epi32_mask(m, l->s, _mm512_set1_epi32((int)level));
-        const kept *k = &stack[level / 2];
-        l->low = _mm512_mask_mov_epi32(l->low, same, k->low);
-        l->high = _mm512_mask_mov_epi32(l->high, same, k->high);
-        l->children = _mm512_mask_mov_epi32(l->children, same, k->children);
-        m &= (__mmask16)~same;
-    }
-}
-
-/* Lanes of `m` whose cell is small enough: 2^s <= spread * t + offset. */
-INLINE __mmask16 small_enough(const lanes *l, __mmask16 m, __m512i s)
-{
-    __m512i e = _mm512_add_epi32(s, _mm512_set1_epi32(1023)); /* exponent of a double */
-    __m512d size_a = _mm512_castsi512_pd(_mm512_slli_epi64(_mm512_cvtepi32_epi64(_mm512_castsi512_si256(e)), 52));
-    __m512d size_b = _mm512_castsi512_pd(_mm512_slli_epi64(_mm512_cvtepi32_epi64(_mm512_extracti64x4_epi64(e, 1)), 52));
-    __m512d a = _mm512_add_pd(_mm512_mul_pd(l->spread.a, l->t.a), l->offset.a), b = _mm512_add_pd(_mm512_mul_pd(l->spread.b, l->t.b), l->offset.b);
-    return m & both(_mm512_cmp_pd_mask(size_a, a, _CMP_LE_OQ), _mm512_cmp_pd_mask(size_b, b, _CMP_LE_OQ));
-}
-
-/* Which lanes of `m` may meet something in the child of their cell: its box, a little larger. */
-INLINE __mmask16 meets_box(const lanes *l, __mmask16 m, __m512i box)
-{
-    const __m512i fifteen = _mm512_set1_epi32(15), four = _mm512_set1_epi32(4);
-    __m512i keep = _mm512_sllv_epi32(_mm512_set1_epi32(-1), l->s), sub = _mm512_sub_epi32(l->s, four);
-    /* margin: two units for the position, and the rounding of floats */
-    __m512i margin = _mm512_add_epi32(_mm512_srlv_epi32(_mm512_set1_epi32(1 << 13), _mm512_sub_epi32(_mm512_set1_epi32(30), l->s)), _mm512_set1_epi32(2));
-    __m512i one = _mm512_sllv_epi32(_mm512_set1_epi32(1), sub);
     __m512 enter = _mm512_setzero_ps(), leave = _mm512_set1_ps(INFINITY);
     for (int k = 0; k < 3; k++) {
-        __m512i corner = _mm512_sub_epi32(_mm512_and_si512(l->q[k], keep), l->q[k]);
-        __m512i low = _mm512_and_si512(_mm512_srli_epi32(box, (unsigned)(4 * k)), fifteen), high = _mm512_and_si512(_mm512_srli_epi32(box, (unsigned)(4 * k + 12)), fifteen);
-        low = _mm512_add_epi32(_mm512_sub_epi32(corner, margin), _mm512_sllv_epi32(low, sub));
-        high = _mm512_add_epi32(_mm512_add_epi32(_mm512_add_epi32(corner, one), margin), _mm512_sllv_epi32(high, sub));
+        __m512i low = _mm512_and_si512(_mm512_srli_epi32(box, (unsigned)(4 * k)), field), high = _mm512_and_si512(_mm512_srli_epi32(box, (unsigned)(4 * k + 12)), field);
+        low = _mm512_add_epi32(_mm512_sub_epi32(corner[k], margin), _mm512_sllv_epi32(low, sub));
+        high = _mm512_add_epi32(_mm512_add_epi32(corner[k], beyond), _mm512_sllv_epi32(high, sub));
         __m512 a = _mm512_mul_ps(_mm512_cvtepi32_ps(low), l->step[k]), b = _mm512_mul_ps(_mm512_cvtepi32_ps(high), l->step[k]);
         enter = _mm512_max_ps(_mm512_min_ps(a, b), enter);
         leave = _mm512_min_ps(_mm512_max_ps(a, b), leave);
     }
-    return m & (__mmask16)~_mm512_cmp_ps_mask(enter, leave, _CMP_GT_OQ);
+    return _mm512_cmp_ps_mask(enter, leave, _CMP_GT_OQ);
 }
+
+/* 16 lanes with their stack, and what the parts of a round hand on. */
+typedef struct group {
+    lanes l;
+    __m512i stack[SVOI_RAYS_LEVELS]; /* nodes on the way down, from the finest */
+    __mmask16 active, finished, missed, down, go;
+    __m512i node[4], w, block, bit, child;
+    __mmask16 upper;
+    __m512i out[3];
+    pair t[3], nearest;
+} group;
+
+/* New rays where few are left; false when there is nothing to do any more. */
+INLINE bool refill(group *g, svoi_ray_batch *b, bool lod, uint32_t *next)
+{
+    if (__builtin_popcount(g->active) > REFILL) return true;
+    uint32_t rest = b->count - *next;
+    if (rest == 0) return g->active != 0;
+    if (g->finished != 0) flush(&g->l, g->finished, b);
+    g->finished = 0;
+    __mmask16 empty = (__mmask16)~g->active;
+    uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
+    __mmask16 m = (__mmask16)_pdep_u32((1u << taken) - 1, empty);
+    fill(&g->l, b, lod, m, *next);
+    *next += taken;
+    g->active |= m;
+    return true;
+}
+
+/* The cell, and whether it is filled. */
+INLINE void look(group *g, const svo_rays *r)
+{
+    const __m512i three = word(3), s = g->l.s;
+    __mmask16 brick = _mm512_cmpeq_epi32_mask(s, word((int)r->fraction));
+    g->missed &= (__mmask16)~brick;
+    __m512i x = _mm512_and_si512(_mm512_srlv_epi32(g->l.q[0], s), three), y = _mm512_and_si512(_mm512_srlv_epi32(g->l.q[1], s), three);
+    __m512i z = _mm512_and_si512(_mm512_srlv_epi32(g->l.q[2], s), three);
+    __m512i c = _mm512_ternarylogic_epi32(x, _mm512_slli_epi32(y, 2), _mm512_slli_epi32(z, 4), 0xfe);
+    g->upper = _mm512_cmpge_epi32_mask(z, word(2));
+    g->w = choose(g->upper, g->node[1], g->node[0]);
+    g->block = _mm512_and_si512(_mm512_srlv_epi32(g->w, _mm512_and_si512(c, word(0x0a))), word(0x00330033));
+    g->bit = _mm512_sllv_epi32(word(1), _mm512_and_si512(c, word(31)));
+}
+
+/* Who has hit, who goes down, and to which child: as many further as there are filled cells before it. */
+INLINE void decide(group *g, const svo_rays *r, bool lod)
+{
+    const __m512i one = word(1), s = g->l.s;
+    __mmask16 here = g->active & (__mmask16)~g->missed, filled = _mm512_mask_test_epi32_mask(here, g->w, g->bit);
+    __mmask16 hit = _mm512_mask_cmpeq_epi32_mask(filled, s, word((int)r->fraction));
+    if (lod) {
+        /* blocks of 2x2x2 cells, then cells, that are small enough and not empty */
+        pair limit = limit_at(&g->l, g->l.t);
+        __mmask16 stop2 = _mm512_mask_test_epi32_mask(here, g->block, g->block) & within(_mm512_add_epi32(s, one), limit);
+        hit = (hit | (filled & within(s, limit))) & (__mmask16)~stop2;
+        g->l.state = _mm512_mask_add_epi32(g->l.state, stop2, s, word(2));
+        g->active &= (__mmask16)~stop2;
+        g->finished |= stop2;
+        filled &= (__mmask16)~stop2;
+    }
+    g->l.state = _mm512_mask_add_epi32(g->l.state, hit, s, one);
+    g->finished |= hit;
+    g->active &= (__mmask16)~hit;
+    g->down = filled & (__mmask16)~hit;
+    g->go = g->active & (__mmask16)~g->down;
+    __m512i rank = _mm512_popcnt_epi32(_mm512_and_si512(g->w, _mm512_sub_epi32(g->bit, one)));
+    rank = _mm512_mask_add_epi32(rank, g->upper, rank, _mm512_popcnt_epi32(g->node[0]));
+    rank = _mm512_mask_slli_epi32(rank, _mm512_cmpneq_epi32_mask(s, word((int)r->fraction + 2)), rank, 1);
+    g->child = _mm512_add_epi32(g->node[2], rank);
+}
+
+/* Where the ray leaves the cell, the empty block of 2x2x2 cells, or the whole node. */
+INLINE void leave(group *g)
+{
+    __m512i s = g->l.s, edge = _mm512_mask_add_epi32(s, _mm512_testn_epi32_mask(g->block, g->block), s, word(1));
+    edge = _mm512_mask_add_epi32(edge, g->missed, s, word(2));
+    __m512i size = _mm512_sllv_epi32(word(1), edge), keep = _mm512_sllv_epi32(word(-1), edge);
+    for (int k = 0; k < 3; k++) {
+        g->out[k] = _mm512_add_epi32(_mm512_and_si512(g->l.q[k], keep), _mm512_and_si512(size, g->l.positive[k]));
+        g->t[k].a = _mm512_mul_pd(_mm512_sub_pd(low_doubles(g->out[k]), g->l.o[k].a), g->l.inv[k].a);
+        g->t[k].b = _mm512_mul_pd(_mm512_sub_pd(high_doubles(g->out[k]), g->l.o[k].b), g->l.inv[k].b);
+    }
+    g->nearest.a = _mm512_min_pd(_mm512_min_pd(g->t[0].a, g->t[1].a), g->t[2].a);
+    g->nearest.b = _mm512_min_pd(_mm512_min_pd(g->t[0].b, g->t[1].b), g->t[2].b);
+}
+
+/* Take the step: the next node and the place in it. */
+INLINE void step(group *g, const svo_rays *r)
+{
+    const __m512i one = word(1), unit_mask = word((1 << r->fraction) - 1), s = g->l.s;
+    const pair nearest = g->nearest;
+    const __mmask16 go = g->go, down = g->down;
+    g->l.t.a = _mm512_mask_mov_pd(g->l.t.a, (__mmask8)go, nearest.a);
+    g->l.t.b = _mm512_mask_mov_pd(g->l.t.b, (__mmask8)(go >> 8), nearest.b);
+    __mmask16 late = both(_mm512_cmp_pd_mask(nearest.a, g->l.t_max.a, _CMP_GT_OQ), _mm512_cmp_pd_mask(nearest.b, g->l.t_max.b, _CMP_GT_OQ)), doubt = 0;
+    __m512i changed = _mm512_setzero_si512();
+    for (int k = 0; k < 3; k++) {
+        __mmask16 through = both(_mm512_cmp_pd_mask(g->t[k].a, nearest.a, _CMP_LE_OQ), _mm512_cmp_pd_mask(g->t[k].b, nearest.b, _CMP_LE_OQ));
+        __m256i e = _mm512_cvttpd_epi32(_mm512_fmadd_pd(g->l.d[k].a, nearest.a, g->l.o[k].a));
+        __m256i f = _mm512_cvttpd_epi32(_mm512_fmadd_pd(g->l.d[k].b, nearest.b, g->l.o[k].b));
+        __m512i to = _mm512_inserti64x4(_mm512_castsi256_si512(e), f, 1);
+        doubt |= (__mmask16)~through & _mm512_cmple_epu32_mask(_mm512_and_si512(_mm512_add_epi32(to, one), unit_mask), one);
+        to = _mm512_mask_add_epi32(to, through, g->out[k], g->l.backward[k]);
+        changed = _mm512_ternarylogic_epi32(changed, to, g->l.q[k], 0xf6); /* changed | (to ^ q) */
+        g->l.q[k] = choose(go, to, g->l.q[k]);
+    }
+    __m512i top = _mm512_sub_epi32(word(31), _mm512_lzcnt_epi32(changed));
+    /* the highest bit that changed names the ancestor */
+    __mmask16 up = _mm512_mask_cmpgt_epi32_mask(go, top, _mm512_add_epi32(s, one));
+    __m512i to_s = _mm512_mask_and_epi32(_mm512_mask_sub_epi32(s, down, s, word(2)), up, top, word(SVOI_RAYS_BITS)); /* even */
+    __m512i to_node = choose(down, g->child, g->l.node);
+    for (uint32_t k = 1; k < r->levels; k++) {
+        __m512i level = word((int)(r->fraction + 2 * k)), kept = choose(_mm512_cmpeq_epi32_mask(s, level), g->l.node, g->stack[k]);
+        g->stack[k] = kept;
+        to_node = choose(_mm512_mask_cmpeq_epi32_mask(up, to_s, level), kept, to_node);
+    }
+    g->l.s = to_s;
+    g->l.node = to_node;
+    doubt &= go & (__mmask16)~late;
+    __mmask16 gone = go & (late | (_mm512_cmpge_epi32_mask(top, word(SVOI_RAYS_BITS)) & (__mmask16)~doubt));
+    g->active &= (__mmask16)~(gone | doubt);
+    g->l.state = choose(doubt, word(SVOI_RAY_DOUBT), g->l.state);
+    g->finished |= doubt;
+}
+
+/* Two groups take turns part by part: while one waits for its last result the other works. */
+enum { GROUPS = 2 };
 
 INLINE void trace(const svo_rays *r, bool lod, svoi_ray_batch *b)
 {
-    const __m512i one = _mm512_set1_epi32(1), three = _mm512_set1_epi32(3), m31 = _mm512_set1_epi32(31), m32 = _mm512_set1_epi32(32);
-    const __m512i minus_one = _mm512_set1_epi32(-1), finest = _mm512_set1_epi32((int)r->fraction), last_nodes = _mm512_set1_epi32((int)r->fraction + 2);
-    const __m512i unit_mask = _mm512_set1_epi32((1 << r->fraction) - 1);
-    const uint64_t *units = r->units;
-    kept stack[SVOI_RAYS_BITS / 2];
-    lanes l;
-    __mmask16 active = 0;
+    group g[GROUPS];
     uint32_t next = 0;
-    memset(&l, 0, sizeof l);
+    memset(g, 0, sizeof g);
+    b->found = 0;
     for (;;) {
-        if (__builtin_popcount(active) <= REFILL) {
-            uint32_t rest = b->count - next;
-            if (rest != 0) {
-                __mmask16 empty = (__mmask16)~active;
-                uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
-                __mmask16 m = (__mmask16)_pdep_u32((1u << taken) - 1, empty);
-                fill(&l, b, units, lod, m, next);
-                next += taken;
-                active |= m;
-            } else if (active == 0) return;
-        }
-        /* the cell, and whether it is filled */
-        __m512i s = l.s, x = _mm512_srlv_epi32(l.q[0], s), y = _mm512_srlv_epi32(l.q[1], s), z = _mm512_srlv_epi32(l.q[2], s);
-        x = _mm512_and_si512(x, three), y = _mm512_slli_epi32(_mm512_and_si512(y, three), 2), z = _mm512_slli_epi32(_mm512_and_si512(z, three), 4);
-        __m512i c = _mm512_or_si512(_mm512_or_si512(x, y), z);
-        __mmask16 upper = _mm512_test_epi32_mask(c, m32);
-        __m512i w = _mm512_mask_mov_epi32(l.low, upper, l.high), in_word = _mm512_and_si512(c, m31);
-        __mmask16 filled = _mm512_mask_test_epi32_mask(active, _mm512_srlv_epi32(w, in_word), one), inside = 0;
-        if (lod) {
-            /* blocks of 2x2x2 cells, then cells, that are small enough and not empty */
-            __m512i block = _mm512_srlv_epi32(w, _mm512_and_si512(c, _mm512_set1_epi32(0x0a)));
-            __mmask16 some = _mm512_mask_test_epi32_mask(active, block, _mm512_set1_epi32(0x00330033));
-            __mmask16 stop2 = small_enough(&l, some, _mm512_add_epi32(s, one));
-            __mmask16 stop1 = small_enough(&l, filled & (__mmask16)~stop2, s);
-            if (stop1 | stop2) {
-                __m512i state = _mm512_mask_add_epi32(_mm512_add_epi32(s, one), stop2, s, _mm512_set1_epi32(2));
-                __mmask16 stop = stop1 | stop2;
-                _mm512_mask_i32scatter_epi32(b->state, stop, l.ray, state, 4);
-                for (int k = 0; k < 3; k++) _mm512_mask_i32scatter_epi32(b->at[k], stop, l.ray, l.q[k], 4);
-                active &= (__mmask16)~stop, filled &= (__mmask16)~stop;
-            }
-        }
-        if (filled != 0) {
-            __mmask16 hit = _mm512_mask_cmpeq_epi32_mask(filled, s, finest);
-            if (hit != 0) {
-                _mm512_mask_i32scatter_epi32(b->state, hit, l.ray, _mm512_add_epi32(s, one), 4);
-                for (int k = 0; k < 3; k++) _mm512_mask_i32scatter_epi32(b->at[k], hit, l.ray, l.q[k], 4);
-                active &= (__mmask16)~hit;
-                filled &= (__mmask16)~hit;
-            }
-            if (filled != 0) {
-                /* the child: as many further as there are filled cells before it */
-                __m512i bit = _mm512_sllv_epi32(one, in_word), below = _mm512_and_si512(w, _mm512_sub_epi32(bit, one));
-                __m512i rank = _mm512_popcnt_epi32(below);
-                rank = _mm512_mask_add_epi32(rank, upper, rank, _mm512_popcnt_epi32(l.low));
-                __mmask16 bricks = _mm512_cmpeq_epi32_mask(s, last_nodes);
-                rank = _mm512_mask_slli_epi32(rank, (__mmask16)~bricks, rank, 1);
-                __m512i child = _mm512_maskz_add_epi32(filled, l.children, rank), node[4];
-                load_nodes(units, child, node);
-                __mmask16 boxed = filled & (__mmask16)~bricks;
-                inside = filled;
-                if (boxed) {
-                    if (lod) inside = filled;
-                    else inside = (filled & bricks) | meets_box(&l, boxed, node[3]);
-                }
-                if (inside != 0) {
-                    push(stack, &l, inside);
-                    l.low = _mm512_mask_mov_epi32(l.low, inside, node[0]);
-                    l.high = _mm512_mask_mov_epi32(l.high, inside, node[1]);
-                    l.children = _mm512_mask_mov_epi32(l.children, inside, node[2]);
-                    l.s = _mm512_mask_sub_epi32(s, inside, s, _mm512_set1_epi32(2));
-                }
-            }
-        }
-        __mmask16 go = active & (__mmask16)~inside;
-        if (go == 0) continue;
-        /* leave the cell, or the empty block of 2x2x2 */
-        __m512i block = _mm512_srlv_epi32(w, _mm512_and_si512(c, _mm512_set1_epi32(0x0a)));
-        __m512i edge = _mm512_mask_add_epi32(s, _mm512_testn_epi32_mask(block, _mm512_set1_epi32(0x00330033)), s, one);
-        __m512i size = _mm512_sllv_epi32(one, edge), keep = _mm512_sllv_epi32(minus_one, edge), out[3];
-        pair t[3], nearest;
-        for (int k = 0; k < 3; k++) {
-            out[k] = _mm512_add_epi32(_mm512_and_si512(l.q[k], keep), _mm512_and_si512(size, l.positive[k]));
-            t[k].a = _mm512_mul_pd(_mm512_sub_pd(low_doubles(out[k]), l.o[k].a), l.inv[k].a);
-            t[k].b = _mm512_mul_pd(_mm512_sub_pd(high_doubles(out[k]), l.o[k].b), l.inv[k].b);
-        }
-        nearest.a = _mm512_min_pd(_mm512_min_pd(t[0].a, t[1].a), t[2].a);
-        nearest.b = _mm512_min_pd(_mm512_min_pd(t[0].b, t[1].b), t[2].b);
-        l.t.a = _mm512_mask_mov_pd(l.t.a, (__mmask8)go, nearest.a);
-        l.t.b = _mm512_mask_mov_pd(l.t.b, (__mmask8)(go >> 8), nearest.b);
-        __mmask16 gone = both(_mm512_cmp_pd_mask(nearest.a, l.t_max.a, _CMP_GT_OQ), _mm512_cmp_pd_mask(nearest.b, l.t_max.b, _CMP_GT_OQ)), doubt = 0;
-        __m512i changed = _mm512_setzero_si512();
-        for (int k = 0; k < 3; k++) {
-            __mmask16 through = both(_mm512_cmp_pd_mask(t[k].a, nearest.a, _CMP_LE_OQ), _mm512_cmp_pd_mask(t[k].b, nearest.b, _CMP_LE_OQ));
-            __m256i a = _mm512_cvttpd_epi32(_mm512_fmadd_pd(l.d[k].a, nearest.a, l.o[k].a)), e = _mm512_cvttpd_epi32(_mm512_fmadd_pd(l.d[k].b, nearest.b, l.o[k].b));
-            __m512i to = _mm512_inserti64x4(_mm512_castsi256_si512(a), e, 1);
-            doubt |= (__mmask16)~through & _mm512_cmple_epu32_mask(_mm512_and_si512(_mm512_add_epi32(to, one), unit_mask), one);
-            to = _mm512_mask_add_epi32(to, through, out[k], l.backward[k]);
-            changed = _mm512_ternarylogic_epi32(changed, to, l.q[k], 0xf6); /* changed | (to ^ q) */
-            l.q[k] = _mm512_mask_mov_epi32(l.q[k], go, to);
-        }
-        __m512i top = _mm512_sub_epi32(m31, _mm512_lzcnt_epi32(changed));
-        doubt &= go & (__mmask16)~gone;
-        gone = go & (__mmask16)~doubt & (gone | _mm512_cmpge_epi32_mask(top, _mm512_set1_epi32(SVOI_RAYS_BITS)));
-        if (doubt) _mm512_mask_i32scatter_epi32(b->state, doubt, l.ray, _mm512_set1_epi32(SVOI_RAY_DOUBT), 4);
-        active &= (__mmask16)~(gone | doubt);
-        __mmask16 up = go & active & _mm512_cmpgt_epi32_mask(top, _mm512_add_epi32(s, one));
-        if (up != 0) {
-            l.s = _mm512_mask_and_epi32(l.s, up, top, _mm512_set1_epi32(~1));
-            pop(stack, &l, up);
-        }
+        bool more = false;
+        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], b, lod, &next);
+        if (!more) break;
+        for (int i = 0; i < GROUPS; i++) load_nodes(r->units, g[i].l.node, g[i].node);
+        for (int i = 0; i < GROUPS; i++) g[i].missed = misses_box(&g[i].l, g[i].node[3], lod);
+        for (int i = 0; i < GROUPS; i++) look(&g[i], r);
+        for (int i = 0; i < GROUPS; i++) leave(&g[i]);
+        for (int i = 0; i < GROUPS; i++) decide(&g[i], r, lod);
+        for (int i = 0; i < GROUPS; i++) step(&g[i], r);
     }
+    for (int i = 0; i < GROUPS; i++)
+        if (g[i].finished != 0) flush(&g[i].l, g[i].finished, b);
 }
 
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b)

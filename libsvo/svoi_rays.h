@@ -44,8 +44,11 @@ typedef struct svoi_ray_batch {
     _Alignas(64) int32_t q[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     uint32_t count;
-    /* Results by number of ray. state: 0 nothing is hit; SVOI_RAY_DOUBT; else 1 + log2 of the edge of the node hit, in fixed-point units */
-    _Alignas(64) int32_t state[SVOI_RAYS_BATCH], at[3][SVOI_RAYS_BATCH];
+    uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` */
+    /* What was found, in no order: number of ray; state: SVOI_RAY_DOUBT, or 1 + log2 of the edge of the node hit, in
+     * fixed-point units; where the ray was then. */
+    uint32_t found;
+    _Alignas(64) int32_t found_ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], state[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], at[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
 } svoi_ray_batch;
 enum { SVOI_RAY_DOUBT = 0x100 };
 
