@@ -32,7 +32,7 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
                             .help = "Say more; may be repeated."};
     out[n++] = (cli_option){.name = "no-progress", .kind = CLI_FLAG, .value = &c->no_progress,
                             .help = "No progress line at a terminal."};
-    out[n++] = (cli_option){.name = "help", .letter = 'h', .kind = CLI_FLAG, .value = help, .help = "Print this help."};
+    out[n++] = (cli_option){.name = "help", .letter = 'h', .kind = CLI_FLAG, .value = help, .help = "Print this help; --help=man prints it as a manual page, --help=bash the completion of bash."};
     out[n++] = (cli_option){.name = "version", .kind = CLI_FLAG, .value = version, .help = "Print the version."};
     for (size_t i = 0; i < n; i++) out[i].group = "Common options";
     return n;
@@ -391,6 +391,10 @@ int cli_begin(cli *c, const cli_tool *tool, int argc, char **argv)
     for (int i = 1; i < argc && strcmp(argv[i], "--") != 0; i++) {
         if (strcmp(argv[i], "--help") == 0 || strcmp(argv[i], "-h") == 0) {
             cli_print_help(stdout, tool, p.common, p.common_count);
+            return leave(c, 0, NULL, NULL);
+        }
+        if (strcmp(argv[i], "--help=man") == 0 || strcmp(argv[i], "--help=bash") == 0) {
+            (argv[i][7] == 'm' ? cli_print_man : cli_print_bash)(stdout, tool, p.common, p.common_count);
             return leave(c, 0, NULL, NULL);
         }
         if (strcmp(argv[i], "--version") == 0) {

@@ -82,6 +82,9 @@ typedef struct cli {
     bool progress_shown;
 } cli;
 
+/* Parse the text of an option's value as the command line does (sizes with K, M ...); false with a reason in why. */
+bool cli_parse_text(const cli_option *o, const char *text, char why[200]);
+
 /* Put the input's name before the message of a failure, unless it is there. Returns r. */
 svo_result cli_about(const char *path, svo_result r, svo_error *err);
 

@@ -19,6 +19,10 @@ void cli_value_text(const cli_option *o, char *out, size_t size);
 
 void cli_print_help(FILE *to, const cli_tool *tool, const cli_option *common, size_t common_count);
 
+/* The manual page in roff, and bash's completion. */
+void cli_print_man(FILE *to, const cli_tool *tool, const cli_option *common, size_t common_count);
+void cli_print_bash(FILE *to, const cli_tool *tool, const cli_option *common, size_t common_count);
+
 /* Open c->report; false with *err filled. */
 bool cli_report_open(cli *c, svo_error *err);
 /* Complete and write it (or discard when it was never opened); false with *err filled. */

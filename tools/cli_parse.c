@@ -151,6 +151,8 @@ bool cli_parse_value(const cli_option *o, const char *text, char why[200])
     return false;
 }
 
+bool cli_parse_text(const cli_option *o, const char *text, char why[200]) { return cli_parse_value(o, text, why); }
+
 static void size_text(uint64_t v, char *out, size_t size)
 {
     static const char letters[] = "TGMK";

@@ -1,0 +1,236 @@
+"""svo-build: what is out of date is built and nothing else, damaged inputs among good ones, kill -9 at random moments, budgets, and the emitted scripts."""
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
+import support
+from support import check, run, tool
+
+
+def manifest(folder, assets, defaults=None, **more):
+    path = folder / "assets.json"
+    path.write_text(json.dumps(dict({"output": "out", "defaults": defaults or {"voxelize": {"depth": 4}}, "assets": assets}, **more)))
+    return path
+
+
+def build(path, *more, code=0, **how):
+    r = tool("svo-build", path, "-q", *more, **how)
+    check(r.code == code, r)
+    return [json.loads(line) for line in r.text.split("\n") if line]
+
+
+def states(lines):
+    return {(l["asset"], l["step"]): l["state"] for l in lines}
+
+
+def some(folder, n=3):
+    out = []
+    for i in range(n):
+        support.cube_obj(folder / ("m%d.obj" % i), size=1 + i, color=(1, i / max(1, n), 0))
+        out.append({"name": "a%d" % i, "input": "m%d.obj" % i})
+    return out
+
+
+def test_builds_what_is_out_of_date(folder):
+    assets = some(folder)
+    assets[1]["voxelize"] = {"depth": 5, "fill": "solid"}
+    assets[2]["compress"] = False
+    path = manifest(folder, assets)
+    check(set(states(build(path, "--dry-run")).values()) == {"stale"} and not (folder / "out").exists())
+    first = build(path, "-j", 2)
+    check(states(first) == {("a0", "voxelize"): "built", ("a0", "compress"): "built", ("a1", "voxelize"): "built", ("a1", "compress"): "built", ("a2", "voxelize"): "built"}, first)
+    check(all(l["bytes"] == os.path.getsize(l["output"]) and len(l["key"]) == 32 for l in first), first)
+    check(run("svo-dump", folder / "out/a1.svdag", "--json").json["depth"] == 5 and not (folder / "out/a2.svdag").exists())
+    again = build(path)
+    check(set(states(again).values()) == {"current"} and {l["key"] for l in again} == {l["key"] for l in first}, again)
+    # the same bytes as by hand
+    run("svo-voxelize", folder / "m0.obj", "-o", folder / "hand.svo", "--depth", 4)
+    check((folder / "hand.svo").read_bytes() == (folder / "out/a0.svo").read_bytes())
+    # a time alone is nothing, also the second time
+    os.utime(folder / "m0.obj", (1, 1))
+    check(set(states(build(path)).values()) == {"current"})
+    # a material file is part of the input; so is an option, an output that was changed or lost, a lost state
+    (folder / "m0.mtl").write_text("newmtl m\nKd 0 0 1\n")
+    changed = states(build(path))
+    check({k for k, v in changed.items() if v == "built"} == {("a0", "voxelize"), ("a0", "compress")}, changed)
+    assets[1]["compress"] = {"color": "6"}
+    path = manifest(folder, assets)
+    check({k for k, v in states(build(path)).items() if v == "built"} == {("a1", "compress")})
+    (folder / "out/a2.svo").unlink()
+    check({k for k, v in states(build(path, "--dry-run")).items() if v == "stale"} == {("a2", "voxelize")})
+    check({k for k, v in states(build(path)).items() if v == "built"} == {("a2", "voxelize")})
+    data = (folder / "out/a0.svdag").read_bytes()
+    (folder / "out/a0.svdag").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    check({k for k, v in states(build(path)).items() if v == "built"} == {("a0", "compress")} and (folder / "out/a0.svdag").read_bytes() == data)
+    (folder / "out/.svo-build/a1.voxelize.state").write_text("{")
+    check(states(build(path))[("a1", "voxelize")] == "built")
+
+
+def test_damaged_inputs_among_good_ones(folder):
+    assets = some(folder, 3)
+    (folder / "bad.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n12")
+    (folder / "webp.glb").write_bytes(b"glTF" + bytes(40))
+    assets[1:1] = [{"name": "bad", "input": "bad.ply"}, {"name": "gone", "input": "nothing.obj"}, {"name": "odd", "input": "webp.glb"},
+                   {"name": "wrong", "input": "m0.obj", "voxelize": {"depth": 99}}]
+    path = manifest(folder, assets)
+    lines = build(path, "-j", 2, code=4) # a missing file may come back: bad luck
+    s = states(lines)
+    check(all(s[("a%d" % i, step)] == "built" for i in range(3) for step in ("voxelize", "compress")), s)
+    failed = {l["asset"]: l for l in lines if l["state"] == "failed"}
+    check(set(failed) == {"bad", "gone", "odd", "wrong"}, failed)
+    check((failed["bad"]["exit_code"], failed["bad"]["because"]) == (3, "bad input") and "bad.ply" in failed["bad"]["message"])
+    check((failed["gone"]["exit_code"], failed["gone"]["because"], failed["gone"]["tries"]) == (2, "bad luck", 2))
+    check((failed["wrong"]["exit_code"], failed["wrong"]["because"], failed["wrong"]["tries"]) == (1, "bad input", 1))
+    check("depth" in open(failed["wrong"]["log"]).read())
+    check(all(s[(n, "compress")] == "skipped" for n in failed))
+    shutil.copy(folder / "m0.obj", folder / "nothing.obj")
+    (folder / "m0.mtl").exists() and shutil.copy(folder / "m0.mtl", folder / "nothing.mtl")
+    s = states(build(path, code=3)) # only bad inputs are left
+    check(s[("gone", "voxelize")] == "built" and s[("a0", "voxelize")] == "current" and s[("bad", "voxelize")] == "failed", s)
+
+
+def test_kill_and_resume(folder):
+    assets = some(folder, 8)
+    path = manifest(folder, assets, {"voxelize": {"depth": 8}})
+    wanted = {}
+    run("svo-build", path, "-q")
+    for p in sorted((folder / "out").glob("[!.]*.sv*")):
+        wanted[p.name] = p.read_bytes()
+    shutil.rmtree(folder / "out")
+    random.seed(7)
+    kills = 0
+    for attempt in range(40):
+        p = subprocess.Popen([str(support.tools / "svo-build"), str(path), "-q", "-j", "2"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        time.sleep(random.uniform(0.02, 0.35))
+        if p.poll() is None:
+            p.send_signal(signal.SIGKILL)
+            kills += 1
+        out, err = p.communicate(timeout=120)
+        for f in (folder / "out").glob("*"): # whatever is there under its name is whole
+            if f.suffix in (".svo", ".svdag"):
+                check(f.read_bytes() == wanted[f.name], "%s is not whole after a kill" % f.name)
+        if p.returncode == 0:
+            break
+        check(p.returncode == -signal.SIGKILL, (p.returncode, err))
+    check(kills >= 2, "never killed: the test is too slow or the machine too fast")
+    time.sleep(0.3)
+    lines = build(path)
+    check({p.name: p.read_bytes() for p in (folder / "out").glob("[!.]*.sv*")} == wanted)
+    check(set(states(build(path)).values()) == {"current"}, lines)
+    left = [p.name for p in (folder / "out").iterdir() if p.name not in wanted and p.name != ".svo-build"]
+    check(left == [], "left over: %s" % left)
+
+
+def test_children_die_with_it(folder):
+    support.sphere_obj(folder / "s.obj", rings=200)
+    path = manifest(folder, [{"name": "s", "input": "s.obj"}], {"voxelize": {"depth": 11}})
+    p = subprocess.Popen([str(support.tools / "svo-build"), str(path), "-q"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    children = []
+    end = time.monotonic() + 20
+    while not children and p.poll() is None and time.monotonic() < end:
+        try:
+            children = open("/proc/%d/task/%d/children" % (p.pid, p.pid)).read().split()
+        except OSError:
+            support.skip("no /proc/PID/task/TID/children here")
+    p.send_signal(signal.SIGKILL)
+    p.communicate(timeout=60)
+    check(children, "no step ran")
+    for _ in range(100):
+        if not any(os.path.exists("/proc/" + c) and open("/proc/%s/stat" % c).read().rsplit(")", 1)[1].split()[0] != "Z" for c in children):
+            return
+        time.sleep(0.05)
+    check(False, "a step lives on")
+
+
+def test_budget_and_lock(folder):
+    assets = some(folder, 4)
+    assets[0]["memory"] = "900M"
+    path = manifest(folder, assets)
+    build(path, "-j", 4, "--memory", "1G", "--report", folder / "r.json")
+    check(support.report(folder / "r.json")["output"]["built"] == 8)
+    options = {n: json.loads((folder / "out/.svo-build" / (n + ".voxelize.report.json")).read_text())["options"]["memory"] for n in ("a0", "a1")}
+    check(options == {"a0": 900 << 20, "a1": (1 << 30) // 4}, options)
+    import fcntl
+    with open(folder / "out/.svo-build/lock", "r+") as f:
+        fcntl.flock(f, fcntl.LOCK_EX)
+        check("another svo-build" in tool("svo-build", path).err)
+        build(path, code=2)
+
+
+def test_scenes(folder):
+    assets = some(folder, 2)
+    (folder / "scene.json").write_text(json.dumps({"assets": [{"name": "a", "file": "out/a0.svdag"}, {"name": "b", "file": "out/a1.svdag"}],
+                                                   "instances": [{"asset": "a"}, {"asset": "b", "translation": [4, 0, 0]}]}))
+    path = manifest(folder, assets, scenes=[{"name": "all", "file": "scene.json"}])
+    s = states(build(path, "-j", 3))
+    check(s[("all", "pack")] == "built" and run("svo-dump", folder / "out/all.svscene", "--json").json["instance_count"] == 2, s)
+    check(set(states(build(path)).values()) == {"current"})
+    support.cube_obj(folder / "m1.obj", size=3)
+    s = states(build(path))
+    check(s[("a0", "compress")] == "current" and s[("a1", "compress")] == "built" and s[("all", "pack")] == "built", s)
+    # a scene that names a mesh may read what is not known here: it is packed every time
+    (folder / "scene.json").write_text(json.dumps({"assets": [{"name": "a", "file": "m0.obj"}], "instances": [{"asset": "a"}]}))
+    path = manifest(folder, assets, scenes=[{"name": "all", "file": "scene.json", "pack": {"depth": 4}}])
+    check(states(build(path))[("all", "pack")] == "built" and states(build(path))[("all", "pack")] == "built")
+
+
+def test_emit(folder):
+    (folder / "it's a $test").mkdir()
+    work = folder / "it's a $test"
+    support.cube_obj(work / "x y.obj", color=(1, 0, 0))
+    assets = some(work, 2) + [{"name": "na me", "input": "x y.obj"}]
+    path = manifest(work, assets)
+    build(path)
+    wanted = {p.name: p.read_bytes() for p in (work / "out").glob("[!.]*.sv*")}
+    check(len(wanted) == 6)
+
+    def same(what):
+        check({p.name: p.read_bytes() for p in (work / "out").glob("[!.]*.sv*")} == wanted, "%s makes other files" % what)
+        shutil.rmtree(work / "out")
+
+    shutil.rmtree(work / "out")
+    (work / "run.sh").write_bytes(run("svo-build", path, "--emit", "sh").out)
+    check(subprocess.run(["sh", str(work / "run.sh")], timeout=120).returncode == 0)
+    same("sh")
+    (work / "job.sh").write_bytes(run("svo-build", path, "--emit", "slurm").out)
+    for task in range(3):
+        check(subprocess.run(["sh", str(work / "job.sh")], env=dict(os.environ, SLURM_ARRAY_TASK_ID=str(task)), timeout=120).returncode == 0)
+    check(subprocess.run(["sh", str(work / "job.sh")], env=dict(os.environ, SLURM_ARRAY_TASK_ID="3"), stderr=subprocess.DEVNULL, timeout=120).returncode == 1)
+    same("slurm")
+    if shutil.which("ninja") is None:
+        support.skip("no ninja")
+    run("svo-build", path, "--emit", "ninja", "-o", work / "build.ninja")
+    ninja = lambda: subprocess.run(["ninja", "-f", str(work / "build.ninja")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, timeout=120)
+    r = ninja()
+    check(r.returncode == 0, r.stdout)
+    check(b"no work to do" in ninja().stdout)
+    (work / "x y.mtl").write_text("newmtl m\nKd 0 1 0\n")
+    check(b"[2/2]" in ninja().stdout, "a changed material is not seen by the depfile")
+    (work / "x y.mtl").write_text("newmtl m\nKd 1 0 0\n")
+    ninja()
+    same("ninja")
+
+
+def test_bad_manifests(folder):
+    for text, word in ((b"{", "line 1"), (b"[]", "object"), (b'{"assets": 1}', "list"), (b'{"assets": [], "x": 1}', "unknown key"), (b'{"assets": [{"name": "a"}]}', "input"),
+                       (b'{"assets": [{"name": "../a", "input": "x"}]}', "no name"), (b'{"assets": [{"name": "a", "input": "x", "voxelize": {"output": "y"}}]}', "itself"),
+                       (b'{"assets": [{"name": "a", "input": "x"}, {"name": "a", "input": "y"}]}', "differ"), (b'{"assets": [{"name": "a", "input": []}]}', "no input"),
+                       (b'{"assets": [{"name": "a", "input": "x", "memory": "lots"}]}', "memory"), (b'{"assets": [{"name": "a", "input": "x", "compress": true}]}', "object of options"),
+                       (b"[" * 100000, ""), (b'{"assets": [{"name": "a", "input": "x\\u0000y"}]}', "")):
+        (folder / "m.json").write_bytes(text)
+        r = tool("svo-build", folder / "m.json")
+        check(r.code == 3 and word in r.err, (text[:80], str(r)))
+    check(tool("svo-build", folder / "none.json").code == 2)
+    (folder / "m.json").write_text('{"assets": []}')
+    check(tool("svo-build", folder / "m.json").code == 0)
+    check(tool("svo-build", folder / "m.json", "-o", "x").code == 1)
+
+
+support.main(globals())
