@@ -158,7 +158,7 @@ static uint32_t change_of(uint32_t block_turn, uint32_t turn)
 
 typedef struct census {
     uint64_t change[SVOI_TURNS];
-    uint64_t code[33][SVOI_TURNS]; /* bricks by bits of their number and index of their change */
+    uint64_t code[2][33][SVOI_CODE_TURNS]; /* bricks of blocks without and with literals, by bits of their number and of the index of their change */
 } census;
 
 typedef struct block_work {
@@ -198,6 +198,8 @@ static svo_result change_bricks(void *user, uint64_t begin, uint64_t end, uint32
         const uint32_t *item = l->items + l->start[i];
         const uint8_t *turn = l->turn + l->start[i];
         uint32_t count = (uint32_t)__builtin_popcount(svoi_head_refs(item[0])), common = w->block_turn[i];
+        uint32_t literals = 0;
+        for (uint32_t k = 0; k < count; k++) literals |= w->rank[item[1 + k]] == INSIDE;
         for (uint32_t k = 0; k < count; k++) {
             uint64_t same = brick_turns(w, item, turn, k);
             uint32_t best = 0;
@@ -214,41 +216,23 @@ static svo_result change_bricks(void *user, uint64_t begin, uint64_t end, uint32
                 continue;
             }
             w->change[l->start[i] + 1 + k] = (uint8_t)best;
-            u->census[worker].code[length(rank)][best]++;
+            u->census[worker].code[literals][length(rank)][length(best)]++;
         }
     }
     return SVO_OK;
 }
 
-/* Two classes without a change, one with few, and one for everything; blocks of mode 1 have a literal instead of the first. */
-static void choose_codes(writer *w, const census *c)
+/* Blocks of mode 1 are those with bricks that are written out, and others that it suits. */
+static void choose_codes(writer *w, census *c)
 {
-    uint64_t sum[33][TURN_BITS + 1]; /* bricks whose number has at most so many bits, and their index of change too */
-    uint32_t widest = bits_for(w->dictionary);
-    for (uint32_t n = 0; n <= 32; n++)
-        for (uint32_t t = 0; t <= TURN_BITS; t++) {
-            sum[n][t] = n != 0 ? sum[n - 1][t] : 0;
-            for (uint32_t k = 0; k < SVOI_TURNS && k < 1u << t; k++) sum[n][t] += c->code[n][k];
+    for (uint32_t mode = 0; mode < 2; mode++) {
+        svoi_code_class best[4];
+        svoi_fast_classes(c->code[mode], bits_for(w->dictionary), 3 - mode, best);
+        for (uint32_t k = 0; k < 4; k++) {
+            bool literal = mode == 1 && k == 3;
+            w->f->id_bits[mode][k] = literal ? SVO_FAST_LITERAL : (uint8_t)best[k].ids;
+            w->f->code_bits[mode][k] = literal ? 64 : (uint8_t)(best[k].ids + best[k].turns);
         }
-    uint64_t all = sum[widest][TURN_BITS], least = UINT64_MAX;
-    uint32_t best[4] = {0, widest, widest, 0};
-    for (uint32_t a = 0; a <= widest; a++)
-        for (uint32_t b = a; b <= widest; b++)
-            for (uint32_t n = 0; n <= widest; n++)
-                for (uint32_t t = 1; t <= TURN_BITS; t++) {
-                    uint32_t inner = n < b ? n : b;
-                    uint64_t changed = sum[n][t] - sum[inner][0];
-                    uint64_t rest = all - sum[b][0] - changed;
-                    uint64_t cost = sum[a][0] * a + (sum[b][0] - sum[a][0]) * b + changed * (n + t) + rest * (widest + TURN_BITS);
-                    if (cost < least) least = cost, best[0] = a, best[1] = b, best[2] = n, best[3] = t;
-                }
-    uint8_t ids[4] = {(uint8_t)best[0], (uint8_t)best[1], (uint8_t)best[2], (uint8_t)widest};
-    uint8_t turns[4] = {0, 0, (uint8_t)best[3], TURN_BITS};
-    for (uint32_t k = 0; k < 4; k++) {
-        w->f->id_bits[0][k] = ids[k];
-        w->f->code_bits[0][k] = ids[k] + turns[k];
-        w->f->id_bits[1][k] = k < 3 ? ids[k + 1] : SVO_FAST_LITERAL;
-        w->f->code_bits[1][k] = k < 3 ? ids[k + 1] + turns[k + 1] : 64;
     }
 }
 
@@ -332,8 +316,7 @@ static svo_result make_blocks(writer *w, uint32_t threads, svo_error *err)
     order_changes(w, u.census);
     if (r == SVO_OK) r = svo_parallel_for(threads, l->count, 4096, change_bricks, &u, err);
     for (uint32_t i = 1; i < workers; i++)
-        for (uint32_t n = 0; n <= 32; n++)
-            for (uint32_t t = 0; t < SVOI_TURNS; t++) u.census[0].code[n][t] += u.census[i].code[n][t];
+        for (uint32_t n = 0; n < sizeof u.census->code / sizeof(uint64_t); n++) (&u.census[0].code[0][0][0])[n] += (&u.census[i].code[0][0][0])[n];
     choose_codes(w, u.census);
     if (r == SVO_OK) r = svo_parallel_for(threads, l->count, 4096, size_blocks, &u, err);
     svo_free(w->a, u.census, workers, sizeof *u.census);

@@ -242,6 +242,15 @@ typedef struct svo_view_section {
 enum { SVO_VIEW_SECTIONS = SVO_MAX_DEPTH + 8 };
 uint32_t svo_view_sections(const svo_view *v, svo_view_section out[SVO_VIEW_SECTIONS]);
 
+/* Layout fast: where the bits of TREE are, for the nodes of a level 0 .. brick_level - 1, in its pool or inside others. */
+typedef struct svo_view_fast_parts {
+    uint64_t bytes;      /* all of the level's own fields (not: of the nodes inside), rounded up */
+    uint64_t masks, tags, skips, sizes, references; /* bits; masks: full leaves, a block's mode and turn too */
+    uint64_t codes[4];   /* blocks: bits of bricks' codes with the narrow, the wide number; with a turn as well; written out */
+    uint64_t bricks[4];  /* how many bricks have these */
+} svo_view_fast_parts;
+void svo_view_fast_count(const svo_view *v, svo_view_fast_parts out[SVO_MAX_DEPTH]);
+
 /* A total order of stored geometries (not of the voxels that they describe): 0 when they are the same bytes. */
 int svo_view_compare_geometry(const svo_view *a, const svo_view *b);
 

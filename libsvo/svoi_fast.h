@@ -36,6 +36,14 @@ static inline uint32_t svoi_tags_width(uint32_t tags, const uint8_t width[4])
            (uint32_t)__builtin_popcount(low & high) * width[3];
 }
 
+/* --- writing: widths of bricks' codes ----------------------------------------------------------------------------- */
+
+typedef struct svoi_code_class { uint32_t ids, turns; } svoi_code_class; /* bits of a brick's number, of the index of its change */
+enum { SVOI_CODE_TURNS = 7 };
+/* Classes of which every brick takes the narrowest that can say it: the last one, with `widest` and 6 bits, says everything, the `free` (2 or 3)
+ * before it are those that take the fewest bits. count: bricks by bits of their number and of the index. */
+void svoi_fast_classes(uint64_t count[33][SVOI_CODE_TURNS], uint32_t widest, uint32_t free, svoi_code_class *out);
+
 /* --- nodes of 16^3 voxels and more ------------------------------------------------------------------------------- */
 
 /* Where the parts of a node are, as bit positions. */

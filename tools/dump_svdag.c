@@ -73,6 +73,23 @@ static svo_result write_voxels(dump_job *j, const svo_view *v, svo_error *err)
     return r;
 }
 
+/* Layout fast: where the bits of a level's nodes are. */
+static void put_tree(json_t *level, const svo_view_fast_parts *p, bool blocks)
+{
+    static const char *const codes[] = {"codes_narrow", "codes_wide", "codes_turned", "bricks_written_out"};
+    json_t *o = json_object();
+    cli_put_u64(o, "masks", p->masks);
+    cli_put_u64(o, "tags", p->tags);
+    if (!blocks) {
+        cli_put_u64(o, "skips", p->skips);
+        cli_put_u64(o, "sizes", p->sizes);
+        cli_put_u64(o, "references", p->references);
+    }
+    for (int i = 0; i < 4 && blocks; i++) cli_put_u64(o, codes[i], p->codes[i]);
+    json_object_set_new(level, "tree_bits", o);
+    cli_put_u64(level, "bytes", p->bytes);
+}
+
 /* How often nodes are really stored, beside how often they appear, and the bytes of what is stored level by level. */
 static void put_stored(json_t *o, const svo_view *v)
 {
@@ -80,6 +97,9 @@ static void put_stored(json_t *o, const svo_view *v)
     svo_view_section part[SVO_VIEW_SECTIONS];
     uint32_t parts = svo_view_sections(v, part);
     uint64_t stored = 0;
+    svo_view_fast_parts tree[SVO_MAX_DEPTH];
+    bool fast = v->layout == SVO_LAYOUT_FAST && !v->empty;
+    if (fast) svo_view_fast_count(v, tree);
     for (uint32_t l = 0; l <= v->brick_level; l++) {
         uint64_t n = svo_view_stored(v, l), bytes = 0;
         for (uint32_t i = 0; i < parts; i++) bytes += part[i].level == l ? part[i].bytes : 0;
@@ -89,6 +109,7 @@ static void put_stored(json_t *o, const svo_view *v)
         cli_put_u64(level, "stored", n);
         if (n != 0) cli_put_f64(level, "sharing", (double)v->nodes[l] / (double)n);
         if (bytes != 0) cli_put_u64(level, "bytes", bytes);
+        if (fast && l < v->brick_level) put_tree(level, &tree[l], l + 1 == v->brick_level);
     }
     cli_put_u64(o, "stored_nodes", stored);
     cli_put_u64(o, "stored_bricks", svo_view_stored(v, v->brick_level));
@@ -147,9 +168,17 @@ static void put_costs(const dump_job *j, const svo_view *v)
     svo_view_section part[SVO_VIEW_SECTIONS];
     uint32_t parts = svo_view_sections(v, part);
     for (uint32_t i = 0; i < parts; i++) {
+        if (v->layout == SVO_LAYOUT_FAST && strcmp(part[i].type, "TREE") == 0) continue; /* level by level */
         if (part[i].level <= SVO_MAX_DEPTH) snprintf(what, sizeof what, "geometry, %.4s of level %u", part[i].type, part[i].level);
         else snprintf(what, sizeof what, "geometry, %.4s", part[i].type);
         add_cost(list, &count, what, part[i].bytes);
+    }
+    svo_view_fast_parts tree[SVO_MAX_DEPTH];
+    bool fast = v->layout == SVO_LAYOUT_FAST && !v->empty;
+    if (fast) svo_view_fast_count(v, tree);
+    for (uint32_t l = 0; fast && l < v->brick_level; l++) {
+        snprintf(what, sizeof what, "geometry, TREE of level %u", l);
+        add_cost(list, &count, what, tree[l].bytes);
     }
     for (uint32_t c = 0; c < v->channel_count; c++) {
         const svo_view_channel *k = &v->channels[c];

@@ -200,6 +200,12 @@ def test_blocks_sharing_and_costs(folder):
         for level in d["levels"]:
             if "stored" in level and level["stored"]:
                 check(abs(level["sharing"] - level["nodes"] / level["stored"]) < 1e-9 and level["sharing"] >= 1, level)
+        tree = [level for level in d["levels"] if "tree_bits" in level]
+        check((len(tree) != 0) == ("svdag" not in options), options)
+        if tree:  # all of TREE but its padding of 8 bytes, and bits between the nodes of pools
+            bits, whole = sum(sum(level["tree_bits"].values()) for level in tree), next(s["payload_bytes"] for s in d["sections"] if s["type"] == "TREE")
+            check(all(level["bytes"] == (sum(level["tree_bits"].values()) + 7) // 8 for level in tree), tree)
+            check(whole * 0.9 < bits / 8 + 8 <= whole, (bits, whole))
         text = run("svo-dump", dag).out.decode()
         check("largest costs" in text and "blocks" in text, text)
 
