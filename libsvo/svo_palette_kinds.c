@@ -274,10 +274,20 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
     }
 }
 
+/* Bits that palettes of `k` entries and more take at least. */
+static uint32_t least_bits(const svoi_lossy_state *s, uint32_t k)
+{
+    uint32_t width = width_of(k), plain = s->length * width, runs = 8 + s->length + s->segments * width;
+    return SVOI_HEADER_BITS + k * s->table_bits + (plain < runs || k < 3 ? plain : runs);
+}
+
 void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
 {
-    if (s->t->count == 0) return;
-    cluster c[SVOI_LOSSY_ENTRIES] = {{.low = 0, .high = s->items}};
+    if (s->t->count == 0 || (float)least_bits(s, 2) >= n->cost) return;
+    for (uint32_t i = 0; i < s->items && s->t->kind == SVO_KIND_NORMAL_OCT32; i++)
+        if (!s->own_fits[s->item[i].id]) return; /* no entry is near enough */
+    cluster c[SVOI_LOSSY_ENTRIES];
+    c[0] = (cluster){.low = 0, .high = s->items};
     measure(s, &c[0]);
     for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = 0;
     float error = c[0].cost;
@@ -307,8 +317,8 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
         error += c[pick].cost + c[k].cost - old.cost;
         invalid = invalid - !old.valid + !c[pick].valid + !c[k].valid;
         k++;
-        uint32_t width = width_of(k), least = SVOI_HEADER_BITS + k * s->table_bits + s->length;
-        if ((float)least >= n->cost) return;
+        /* before the first cover, which may do with far fewer entries, only what none could mend ends it */
+        if ((float)least_bits(s, covered ? k : (k + 1) / 2) >= n->cost) return;
         if (invalid != 0) continue;
         if (!covered && k > 2) {
             for (uint32_t i = 0; i < s->items; i++) saved[i] = s->label[s->item[i].id];
@@ -316,6 +326,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
             for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = saved[i];
         }
         covered = true;
+        uint32_t width = width_of(k);
         float cost = (float)(SVOI_HEADER_BITS + whole_bytes(k * s->table_bits + s->length * width)) + error;
         if (cost < n->cost) {
             take(n, cost, SVO_BLOCK_PALETTE + width - 1);
@@ -390,7 +401,7 @@ void svoi_try_lines(svoi_lossy_state *s, svoi_node *n)
     if (line.entry[0] == line.entry[1]) return;
     for (uint32_t width = 2; width <= 4; width++) {
         float least = (float)(fixed + s->length);
-        if (least >= n->cost) return;
+        if (fminf(least + (float)(s->segments * width), (float)(fixed + s->length * width)) >= n->cost) return;
         svoi_candidates c;
         svoi_line_candidates(s, &line, width, &c);
         float error = svoi_plain_cost(s, &c, NULL);

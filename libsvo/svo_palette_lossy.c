@@ -55,6 +55,20 @@ static void know_values(svoi_lossy_state *s, const uint32_t *v)
     }
 }
 
+/* A run goes on while its values are near enough to the first for one entry to hold both: no coding has fewer. */
+static uint32_t count_segments(const svoi_lossy_state *s)
+{
+    if (s->t->squares) return 1;
+    uint32_t segments = 1, first = s->run_id[0];
+    for (uint32_t r = 1; r < s->runs; r++) {
+        uint32_t id = s->run_id[r];
+        if (svoi_distance2(&s->point[first], s->weights[first], &s->point[id]) <= 4.5f * s->t->bound2) continue;
+        segments++;
+        first = id;
+    }
+    return segments;
+}
+
 /* The different values and the runs of a block. */
 static void gather(svoi_lossy_state *s, uint32_t begin, uint32_t length)
 {
@@ -77,57 +91,83 @@ static void gather(svoi_lossy_state *s, uint32_t begin, uint32_t length)
             s->item[s->row[id]].count += 1;
         }
     }
+    s->segments = count_segments(s);
 }
 
 /* --- numbers ----------------------------------------------------------------------------------------------------- */
 
-/* Errors of an item with all candidates (a multiple of SVOI_LANES of them); INFINITY where the bound is broken. */
-static void item_errors(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t count, float *restrict error)
+/* Squared errors of an item with all candidates, `count` (a multiple of SVOI_LANES) of them; INFINITY where the bound is broken. */
+static void item_squares(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t count, float *restrict square)
 {
     const svoi_points *t = s->t;
-    float x0 = it->p.x[0], x1 = it->p.x[1], x2 = it->p.x[2], x3 = it->p.x[3], wh = it->w.wh, wd = it->w.wd, bound2 = t->bound2, price = t->price;
+    float x0 = it->p.x[0], x1 = it->p.x[1], x2 = it->p.x[2], x3 = it->p.x[3], wh = it->w.wh, wd = it->w.wd, bound2 = t->bound2;
     if (!t->squares) {
-        for (uint32_t q = 0; q < count; q++) {
-            float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q], e = x3 - c->p[3][q];
-            float d2 = a * a + wh * (b * b + d * d) + wd * (e * e);
-            float root = price * __builtin_sqrtf(d2 > 0 ? d2 : 0);
-            error[q] = d2 <= bound2 ? root : INFINITY;
-        }
+        for (uint32_t i = 0; i < count; i += SVOI_LANES)
+            for (uint32_t q = i; q < i + SVOI_LANES; q++) {
+                float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q], e = x3 - c->p[3][q];
+                float d2 = a * a + wh * (b * b + d * d) + wd * (e * e);
+                square[q] = d2 <= bound2 ? (d2 > 0 ? d2 : 0) : INFINITY;
+            }
         return;
     }
     const svoi_point *k = &s->check[it->id];
     svoi_weights w = s->check_weights[it->id];
-    for (uint32_t q = 0; q < count; q++) {
-        float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q];
-        float e = k->x[0] - c->check[0][q], f = k->x[1] - c->check[1][q], g = k->x[2] - c->check[2][q], h = k->x[3] - c->check[3][q];
-        float d2 = e * e + w.wh * (f * f + g * g) + w.wd * (h * h), cost = price * (a * a + b * b + d * d);
-        error[q] = d2 <= bound2 ? cost : INFINITY;
-    }
+    for (uint32_t i = 0; i < count; i += SVOI_LANES)
+        for (uint32_t q = i; q < i + SVOI_LANES; q++) {
+            float a = x0 - c->p[0][q], b = x1 - c->p[1][q], d = x2 - c->p[2][q];
+            float e = k->x[0] - c->check[0][q], f = k->x[1] - c->check[1][q], g = k->x[2] - c->check[2][q], h = k->x[3] - c->check[3][q];
+            float d2 = e * e + w.wh * (f * f + g * g) + w.wd * (h * h), cost = a * a + b * b + d * d;
+            square[q] = d2 <= bound2 ? cost : INFINITY;
+        }
 }
+
+/* Bit q: number q of `count` is at most `most`. */
+static uint64_t at_most(const float *x, uint32_t count, float most)
+{
+    static const uint32_t bit[SVOI_LANES] = {1, 2, 4, 8, 16, 32, 64, 128};
+    uint64_t mask = 0;
+    for (uint32_t i = 0; i < count; i += SVOI_LANES) {
+        uint32_t m = 0;
+        for (uint32_t j = 0; j < SVOI_LANES; j++) m += x[i + j] <= most ? bit[j] : 0;
+        mask |= (uint64_t)m << i;
+    }
+    return mask;
+}
+
+static float least_of(const float *x, uint32_t count)
+{
+    float lane[SVOI_LANES], least;
+    for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[j];
+    for (uint32_t i = SVOI_LANES; i < count; i += SVOI_LANES)
+        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[i + j] < lane[j] ? x[i + j] : lane[j];
+    least = lane[0];
+    for (uint32_t j = 1; j < SVOI_LANES; j++) least = lane[j] < least ? lane[j] : least;
+    return least;
+}
+
+static uint32_t padded(uint32_t count) { return (count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1); }
 
 void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask)
 {
-    float error[SVOI_LOSSY_ENTRIES];
-    uint32_t count = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
+    float square[SVOI_LOSSY_ENTRIES];
+    uint32_t count = padded(c->count);
     for (uint32_t i = 0; i < s->items; i++) {
-        item_errors(s, &s->item[i], c, count, error);
-        mask[i] = 0;
-        for (uint32_t q = 0; q < c->count; q++) mask[i] |= (uint64_t)(error[q] < INFINITY) << q;
+        item_squares(s, &s->item[i], c, count, square);
+        mask[i] = at_most(square, count, 1e30f) & (~(uint64_t)0 >> (64 - c->count)); /* not the copies behind */
     }
 }
 
 float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number)
 {
-    float sum = 0, error[SVOI_LOSSY_ENTRIES];
-    uint32_t count = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
+    float sum = 0, square[SVOI_LOSSY_ENTRIES];
+    uint32_t count = padded(c->count);
     for (uint32_t i = 0; i < s->items; i++) {
         const svoi_item *it = &s->item[i];
-        float best = INFINITY;
-        item_errors(s, it, c, count, error);
-        for (uint32_t q = 0; q < c->count; q++)
-            if (error[q] < best) best = error[q], s->label[it->id] = (uint8_t)q;
-        if (!(best < INFINITY)) return INFINITY;
-        sum += best * it->count;
+        item_squares(s, it, c, count, square);
+        float least = least_of(square, count);
+        if (!(least < INFINITY)) return INFINITY;
+        s->label[it->id] = (uint8_t)__builtin_ctzll(at_most(square, count, least));
+        sum += svoi_cost(s->t, least) * it->count;
     }
     if (number != NULL)
         for (uint32_t i = 0; i < s->length; i++) number[i] = s->label[s->id[s->begin + i]];
@@ -145,10 +185,15 @@ static void trace_runs(const svoi_lossy_state *s, uint32_t last, uint32_t *numbe
 
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number)
 {
-    uint32_t k = (c->count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1);
+    uint32_t k = padded(c->count);
     for (uint32_t i = 0; i < s->items; i++) {
         s->row[s->item[i].id] = (uint16_t)i;
-        item_errors(s, &s->item[i], c, k, s->error[i]);
+        float *error = s->error[i];
+        item_squares(s, &s->item[i], c, k, error);
+        if (s->t->squares)
+            for (uint32_t q = 0; q < k; q++) error[q] = error[q] < INFINITY ? s->t->price * error[q] : INFINITY;
+        else
+            for (uint32_t q = 0; q < k; q++) error[q] = error[q] < INFINITY ? s->t->price * __builtin_sqrtf(error[q]) : INFINITY;
     }
     float cost[SVOI_LOSSY_ENTRIES], least = 0;
     uint32_t from = 0;
@@ -190,7 +235,8 @@ static bool look(svoi_lossy_state *s, uint32_t begin, uint32_t length, svoi_node
     n->mode = SVOI_NONE;
     gather(s, begin, length);
     svoi_try_one(s, n);
-    if (s->items > 1 && n->cost > SVOI_HEADER_BITS + (float)length) {
+    bool small = s->t->price < 0.15f && length == SVO_GRANULE && s->t->kind == SVO_KIND_COLOR_SRGB8; /* seldom worth a palette of its own, never the search */
+    if (!small && s->items > 1 && n->cost > SVOI_HEADER_BITS + (float)length) {
         svoi_try_palettes(s, n);
         svoi_try_lines(s, n);
     }

@@ -37,6 +37,7 @@ typedef struct svoi_lossy_state {
     svoi_node node[SVOI_LEVELS][SVOI_GRANULES];
     /* the block looked at */
     uint32_t begin, length, items, runs;
+    uint32_t segments; /* no fewer runs hold its values within the bound */
     svoi_item item[SVO_SUPERBLOCK];
     uint16_t run_id[SVO_SUPERBLOCK], run_length[SVO_SUPERBLOCK];
     uint16_t row[SVO_SUPERBLOCK];    /* of a value of the block in `error`; by id */
