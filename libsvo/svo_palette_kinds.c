@@ -204,7 +204,7 @@ static void try_runs(svoi_lossy_state *s, const cluster *c, uint32_t k, float er
     svoi_candidates candidates;
     keep_entries(&with, c, k);
     svoi_palette_candidates(s, &with, &candidates);
-    float cost = svoi_runs_cost(s, &candidates, width, NULL) + (float)fixed + 4; /* rounding to bytes */
+    float cost = svoi_runs_cost(s, &candidates, width, n->cost - (float)fixed - 4, NULL) + (float)fixed + 4; /* rounding to bytes */
     if (!(cost < n->cost)) return;
     take(n, cost, SVO_BLOCK_PALETTE_RUNS + width - 2);
     keep_entries(n, c, k);
@@ -255,7 +255,7 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
     }
     svoi_palette_candidates(s, &with, &candidates);
     uint32_t entries = with.entries, width = width_of(entries);
-    float error = svoi_plain_cost(s, &candidates, NULL);
+    float error = svoi_plain_cost(s, &candidates, n->cost, NULL);
     if (!(error < INFINITY) || entries < 2) return;
     float cost = (float)(SVOI_HEADER_BITS + whole_bytes(entries * s->table_bits + s->length * width)) + error;
     if (cost < n->cost) {
@@ -266,7 +266,7 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
     if (entries < 3) return;
     float fixed = (float)(SVOI_HEADER_BITS + 8 + entries * s->table_bits + s->length);
     if (fixed + error + (float)(count_changes(s) * width) > 1.5f * n->cost) return;
-    cost = svoi_runs_cost(s, &candidates, width, NULL) + fixed + 4;
+    cost = svoi_runs_cost(s, &candidates, width, n->cost - fixed - 4, NULL) + fixed + 4;
     if (cost < n->cost) {
         take(n, cost, SVO_BLOCK_PALETTE_RUNS + width - 2);
         n->entries = entries;
@@ -404,7 +404,7 @@ void svoi_try_lines(svoi_lossy_state *s, svoi_node *n)
         if (fminf(least + (float)(s->segments * width), (float)(fixed + s->length * width)) >= n->cost) return;
         svoi_candidates c;
         svoi_line_candidates(s, &line, width, &c);
-        float error = svoi_plain_cost(s, &c, NULL);
+        float error = svoi_plain_cost(s, &c, n->cost, NULL);
         if (!(error < INFINITY)) continue;
         float cost = (float)(SVOI_HEADER_BITS + whole_bytes(2 * s->table_bits + s->length * width)) + error;
         if (cost < n->cost) {
@@ -412,7 +412,7 @@ void svoi_try_lines(svoi_lossy_state *s, svoi_node *n)
             n->entries = 2, n->entry[0] = line.entry[0], n->entry[1] = line.entry[1];
         }
         if (least + error + (float)(count_changes(s) * width) > 1.25f * n->cost) continue;
-        cost = svoi_runs_cost(s, &c, width, NULL) + least + 4;
+        cost = svoi_runs_cost(s, &c, width, n->cost - least - 4, NULL) + least + 4;
         if (cost < n->cost) {
             take(n, cost, SVO_BLOCK_LINE_RUNS + width - 2);
             n->entries = 2, n->entry[0] = line.entry[0], n->entry[1] = line.entry[1];

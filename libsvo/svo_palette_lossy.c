@@ -134,15 +134,21 @@ static uint64_t at_most(const float *x, uint32_t count, float most)
     return mask;
 }
 
+/* The least of the lanes, which are used up. */
+static float fold(float lane[SVOI_LANES])
+{
+    for (uint32_t half = SVOI_LANES / 2; half != 0; half /= 2)
+        for (uint32_t j = 0; j < half; j++) lane[j] = lane[j + half] < lane[j] ? lane[j + half] : lane[j];
+    return lane[0];
+}
+
 static float least_of(const float *x, uint32_t count)
 {
-    float lane[SVOI_LANES], least;
+    float lane[SVOI_LANES];
     for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[j];
     for (uint32_t i = SVOI_LANES; i < count; i += SVOI_LANES)
         for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[i + j] < lane[j] ? x[i + j] : lane[j];
-    least = lane[0];
-    for (uint32_t j = 1; j < SVOI_LANES; j++) least = lane[j] < least ? lane[j] : least;
-    return least;
+    return fold(lane);
 }
 
 static uint32_t padded(uint32_t count) { return (count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1); }
@@ -157,7 +163,7 @@ void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t 
     }
 }
 
-float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number)
+float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, float limit, uint32_t *number)
 {
     float sum = 0, square[SVOI_LOSSY_ENTRIES];
     uint32_t count = padded(c->count);
@@ -168,6 +174,7 @@ float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *n
         if (!(least < INFINITY)) return INFINITY;
         s->label[it->id] = (uint8_t)__builtin_ctzll(at_most(square, count, least));
         sum += svoi_cost(s->t, least) * it->count;
+        if (!(sum < limit)) return INFINITY;
     }
     if (number != NULL)
         for (uint32_t i = 0; i < s->length; i++) number[i] = s->label[s->id[s->begin + i]];
@@ -183,7 +190,7 @@ static void trace_runs(const svoi_lossy_state *s, uint32_t last, uint32_t *numbe
     }
 }
 
-float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number)
+float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, float limit, uint32_t *number)
 {
     uint32_t k = padded(c->count);
     for (uint32_t i = 0; i < s->items; i++) {
@@ -214,9 +221,8 @@ float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t wid
                 cost[q + j] = now;
                 lane[j] = now < lane[j] ? now : lane[j];
             }
-        least = lane[0];
-        for (uint32_t j = 1; j < SVOI_LANES; j++) least = lane[j] < least ? lane[j] : least;
-        if (!(least < INFINITY)) return INFINITY;
+        least = fold(lane);
+        if (!(least < limit)) return INFINITY;
         if (number != NULL) {
             from = 0;
             while (cost[from] != least) from++;
@@ -293,14 +299,14 @@ static void lossy_block(void *state, uint32_t first, uint32_t end, svoi_block *o
         bool runs = n->mode >= SVO_BLOCK_LINE_RUNS;
         width = n->mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
         svoi_line_candidates(s, n, width, &c);
-        if (runs) svoi_runs_cost(s, &c, width, out->number);
-        else svoi_plain_cost(s, &c, out->number);
+        if (runs) svoi_runs_cost(s, &c, width, INFINITY, out->number);
+        else svoi_plain_cost(s, &c, INFINITY, out->number);
     } else {
         bool runs = n->mode >= SVO_BLOCK_PALETTE_RUNS;
         width = n->mode - (runs ? SVO_BLOCK_PALETTE_RUNS - 2 : SVO_BLOCK_PALETTE - 1);
         svoi_palette_candidates(s, n, &c);
-        if (runs) svoi_runs_cost(s, &c, width, out->number);
-        else svoi_plain_cost(s, &c, out->number);
+        if (runs) svoi_runs_cost(s, &c, width, INFINITY, out->number);
+        else svoi_plain_cost(s, &c, INFINITY, out->number);
         if (!runs) { /* a palette ends with the largest number that occurs */
             uint32_t most = 0;
             for (uint32_t i = 0; i < s->length; i++) most = out->number[i] > most ? out->number[i] : most;

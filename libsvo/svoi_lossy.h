@@ -81,10 +81,10 @@ void svoi_try_lattice(svoi_lossy_state *s, svoi_node *n);
 void svoi_try_raw(svoi_lossy_state *s, svoi_node *n);
 
 /* Least cost of the block's values by runs of candidates, `width` bits a change; INFINITY when one has no candidate
- * within the bound. With `number` not NULL the numbers of all values go there. */
-float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, uint32_t *number);
+ * within the bound, or when it is not below `limit`. With `number` not NULL the numbers of all values go there. */
+float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, float limit, uint32_t *number);
 /* The same with a number for each value, each the best for itself; the bits of the numbers are not counted. */
-float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t *number);
+float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, float limit, uint32_t *number);
 /* Of each item, in order: bit q is set when candidate q is within the bound. */
 void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask);
 void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c);
