@@ -181,41 +181,52 @@ def test_scenes(folder):
     check(states(build(path))[("all", "pack")] == "built" and states(build(path))[("all", "pack")] == "built")
 
 
-def test_emit(folder):
-    (folder / "it's a $test").mkdir()
-    work = folder / "it's a $test"
+def emit_folder(folder, name):
+    """A folder with a manifest, and what is built of it by hand."""
+    work = folder / name
+    work.mkdir()
     support.cube_obj(work / "x y.obj", color=(1, 0, 0))
-    assets = some(work, 2) + [{"name": "na me", "input": "x y.obj"}]
-    path = manifest(work, assets)
+    path = manifest(work, some(work, 2) + [{"name": "na me", "input": "x y.obj"}])
     build(path)
-    wanted = {p.name: p.read_bytes() for p in (work / "out").glob("[!.]*.sv*")}
+    wanted = outputs(work)
     check(len(wanted) == 6)
-
-    def same(what):
-        check({p.name: p.read_bytes() for p in (work / "out").glob("[!.]*.sv*")} == wanted, "%s makes other files" % what)
-        shutil.rmtree(work / "out")
-
     shutil.rmtree(work / "out")
+    return work, path, wanted
+
+
+def outputs(work):
+    return {p.name: p.read_bytes() for p in (work / "out").glob("[!.]*.sv*")}
+
+
+def test_emit_sh_and_slurm(folder):
+    work, path, wanted = emit_folder(folder, "it's a $test")
     (work / "run.sh").write_bytes(run("svo-build", path, "--emit", "sh").out)
     check(subprocess.run(["sh", str(work / "run.sh")], timeout=120).returncode == 0)
-    same("sh")
+    check(outputs(work) == wanted, "sh makes other files")
+    shutil.rmtree(work / "out")
     (work / "job.sh").write_bytes(run("svo-build", path, "--emit", "slurm").out)
     for task in range(3):
         check(subprocess.run(["sh", str(work / "job.sh")], env=dict(os.environ, SLURM_ARRAY_TASK_ID=str(task)), timeout=120).returncode == 0)
     check(subprocess.run(["sh", str(work / "job.sh")], env=dict(os.environ, SLURM_ARRAY_TASK_ID="3"), stderr=subprocess.DEVNULL, timeout=120).returncode == 1)
-    same("slurm")
+    check(outputs(work) == wanted, "slurm makes other files")
+    (work / "m0.obj").write_text("v 1 2 x\n")
+    check(subprocess.run(["sh", str(work / "run.sh")], stderr=subprocess.DEVNULL, timeout=120).returncode == 1, "the script hides a failure")
+
+
+def test_emit_ninja(folder):
     if shutil.which("ninja") is None:
         support.skip("no ninja")
+    work, path, wanted = emit_folder(folder, "its a $test") # Ninja's reader of depfiles knows no apostrophes
     run("svo-build", path, "--emit", "ninja", "-o", work / "build.ninja")
     ninja = lambda: subprocess.run(["ninja", "-f", str(work / "build.ninja")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, timeout=120)
     r = ninja()
-    check(r.returncode == 0, r.stdout)
+    check(r.returncode == 0 and outputs(work) == wanted, r.stdout)
     check(b"no work to do" in ninja().stdout)
     (work / "x y.mtl").write_text("newmtl m\nKd 0 1 0\n")
-    check(b"[2/2]" in ninja().stdout, "a changed material is not seen by the depfile")
+    check(b"[2/2]" in ninja().stdout and outputs(work) != wanted, "a changed material is not seen through the depfile")
     (work / "x y.mtl").write_text("newmtl m\nKd 1 0 0\n")
     ninja()
-    same("ninja")
+    check(outputs(work) == wanted)
 
 
 def test_bad_manifests(folder):
