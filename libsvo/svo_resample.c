@@ -111,14 +111,15 @@ static void find_root(resampling *r)
         r->depth = 2, r->side = 1;
         return;
     }
-    double side = 0;
-    for (int k = 0; k < 3; k++) side = fmax(side, high[k] - low[k]);
-    if (!(side > 0)) side = 1; /* a point */
-    /* Cells stay the same from picture to picture while the camera moves within a power of two: */
+    /* Cells lie at multiples of their size from the selection's origin, so that they do not depend on what else is selected: the root is a cube of a power of
+     * two around the origin. What is far from the eye is coarse, so this costs few levels. */
+    double reach = 0;
+    for (int k = 0; k < 3; k++) reach = fmax(reach, fmax(fabs(low[k]), fabs(high[k])));
+    if (!(reach > 0)) reach = 1; /* a point at the eye */
     int e;
-    frexp(side * (1 + 1e-6), &e);
-    r->side = ldexp(1, e);
-    for (int k = 0; k < 3; k++) r->corner[k] = 0.5 * (low[k] + high[k]) - 0.5 * r->side;
+    frexp(reach * (1 + 1e-6), &e);
+    r->side = ldexp(1, e + 1);
+    for (int k = 0; k < 3; k++) r->corner[k] = -0.5 * r->side;
     int depth = finest < INFINITY ? level_of(finest / r->side) : 2;
     r->depth = depth < 2 ? 2 : depth > (int)SVO_MAX_DEPTH ? SVO_MAX_DEPTH : (uint32_t)depth;
 }

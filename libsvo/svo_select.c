@@ -2,9 +2,11 @@
 
 #include <float.h>
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "svo_task.h"
+#include "svoi_select.h"
 
 /* A node to look at. */
 typedef struct visit {
@@ -13,12 +15,15 @@ typedef struct visit {
     uint8_t level, full_level; /* full_level: of the full leaf it is in */
 } visit;
 
-/* A subtree of an instance: what a thread takes at a time. */
+/* What a thread takes at a time: a subtree of an instance, or all instances of a page. */
 typedef struct job {
     visit top;
     uint32_t page;
-    uint64_t instance;
+    uint64_t instance; /* WHOLE_PAGE */
 } job;
+#define WHOLE_PAGE UINT64_MAX
+/* More instances than this go to threads by pages. */
+enum { BY_PAGES = 4096 };
 
 typedef struct output {
     svo_buffer boxes;
@@ -32,10 +37,10 @@ typedef struct selecting {
     const svo_scene *scene;
     const svo_select_options *o;
     double origin[3];
-    double axis[3][3];   /* right, up, forward */
-    double plane[4][3];  /* of the picture's sides, inside positive */
-    double focal;        /* samples at depth 1 */
+    svoi_look look;
+    svoi_depth depth;    /* with occlusion */
     uint32_t *normal_channel; /* of each asset */
+    bool by_pages;
     const job *jobs;
     span *spans;
     output *outputs;
@@ -45,37 +50,32 @@ static svo_result no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_ME
 
 /* ---- a box in the picture -------------------------------------------------------------------------------------------- */
 
-/* False when nothing of it is in the picture; else *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the
- * eye's plane. */
-static bool project(const selecting *s, const double low[3], const double high[3], double *size)
+typedef enum sight { OUT_OF_SIGHT, HIDDEN, SEEN } sight;
+
+/* Hidden where all samples that it, or cells made of it, can cover show something nearer. */
+static bool is_hidden(const selecting *s, const double low[3], const double high[3], const svoi_rect *r)
 {
-    double x[8], y[8], z[8], near = INFINITY, far = -INFINITY;
-    for (int i = 0; i < 8; i++) {
-        double px = i & 1 ? high[0] : low[0], py = i & 2 ? high[1] : low[1], pz = i & 4 ? high[2] : low[2];
-        x[i] = s->axis[0][0] * px + s->axis[0][1] * py + s->axis[0][2] * pz;
-        y[i] = s->axis[1][0] * px + s->axis[1][1] * py + s->axis[1][2] * pz;
-        z[i] = s->axis[2][0] * px + s->axis[2][1] * py + s->axis[2][2] * pz;
+    double shortest = INFINITY, longest = 0, l[3], h[3];
+    for (int k = 0; k < 3; k++) shortest = fmin(shortest, high[k] - low[k]), longest = fmax(longest, high[k] - low[k]);
+    double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
+    svoi_rect wide = *r;
+    if (over > 0) {
+        for (int k = 0; k < 3; k++) l[k] = low[k] - over, h[k] = high[k] + over;
+        wide = svoi_project(&s->look, l, h);
     }
-    for (int i = 0; i < 8; i++) near = fmin(near, z[i]), far = fmax(far, z[i]);
-    if (far <= 0) {
-        *size = INFINITY;
-        return !s->o->frustum;
-    }
-    if (s->o->frustum)
-        for (int p = 0; p < 4; p++) {
-            double most = 0;
-            for (int k = 0; k < 3; k++) most += fmax(s->plane[p][k] * low[k], s->plane[p][k] * high[k]);
-            if (most < 0) return false;
-        }
-    *size = INFINITY;
-    if (near <= 0) return true;
-    double x0 = INFINITY, x1 = -INFINITY, y0 = INFINITY, y1 = -INFINITY;
-    for (int i = 0; i < 8; i++) {
-        double w = 1 / z[i], u = x[i] * w, v = y[i] * w;
-        x0 = fmin(x0, u), x1 = fmax(x1, u), y0 = fmin(y0, v), y1 = fmax(y1, v);
-    }
-    *size = s->focal * fmax(x1 - x0, y1 - y0);
-    return true;
+    if (wide.near <= 0) return false;
+    svoi_span samples = svoi_samples(&s->look, &wide);
+    return svoi_depth_hides(&s->depth, &samples, wide.near * (1 - 1e-6));
+}
+
+/* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. */
+static sight project(const selecting *s, const double low[3], const double high[3], double *size)
+{
+    svoi_rect r = svoi_project(&s->look, low, high);
+    *size = fmax(r.x1 - r.x0, r.y1 - r.y0);
+    if (s->o->frustum && (r.far <= 0 || svoi_outside(&s->look, low, high))) return OUT_OF_SIGHT;
+    if (s->o->occlusion && is_hidden(s, low, high, &r)) return HIDDEN;
+    return SEEN;
 }
 
 /* Behind the eye there is no picture: what a box of that size would show at its distance. */
@@ -87,7 +87,7 @@ static double size_at_distance(const selecting *s, const double low[3], const do
         double away = fmax(0, fmax(low[k], -high[k]));
         near += away * away;
     }
-    return s->focal * longest / sqrt(near);
+    return s->look.focal * longest / sqrt(near);
 }
 
 /* ---- nodes ----------------------------------------------------------------------------------------------------------- */
@@ -165,10 +165,11 @@ static bool take(const selecting *s, const svo_deform *d, const svo_view *v, uin
     svo_oct32_encode(f, b.normal);
     out->report.selected++;
     out->report.finest += n->level == v->depth;
+    if (s->o->occlusion) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
     return svo_buffer_append(&out->boxes, &b, sizeof b) != NULL;
 }
 
-typedef enum fate { OUTSIDE, TAKE, DESCEND, OVERFLOW } fate;
+typedef enum fate { OUTSIDE, BEHIND, TAKE, DESCEND, OVERFLOW } fate;
 
 /* Deform a node and say what is to be done with it. */
 static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, const visit *n, double edge, double low[3], double high[3])
@@ -178,7 +179,8 @@ static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, co
     svo_deform_box(d, SVO_NO_BONE, from, to, low, high);
     for (int k = 0; k < 3; k++)
         if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return OVERFLOW;
-    if (!project(s, low, high, &size)) return OUTSIDE;
+    sight seen = project(s, low, high, &size);
+    if (seen != SEEN) return seen == HIDDEN ? BEHIND : OUTSIDE;
     if (n->level >= v->depth) return TAKE;
     if (s->o->whole) return DESCEND;
     if (size == INFINITY) size = size_at_distance(s, low, high);
@@ -213,6 +215,7 @@ static svo_result run_job(const selecting *s, const job *j, output *out, svo_err
             out->report.overflowed++;
             return SVO_OK;
         case OUTSIDE: out->report.outside++; break;
+        case BEHIND: out->report.hidden++; break;
         case TAKE:
             if (!take(s, &d, v, j->instance, &n, low, high, edge, out)) return no_memory(err);
             break;
@@ -225,20 +228,6 @@ static svo_result run_job(const selecting *s, const job *j, output *out, svo_err
     return SVO_OK;
 }
 
-static svo_result run_jobs(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    selecting *s = user;
-    output *out = &s->outputs[worker];
-    for (uint64_t i = begin; i < end; i++) {
-        s->spans[i] = (span){worker, out->boxes.size / sizeof(svo_selected), 0};
-        SVO_TRY(run_job(s, &s->jobs[i], out, err));
-        s->spans[i].count = out->boxes.size / sizeof(svo_selected) - s->spans[i].first;
-    }
-    return SVO_OK;
-}
-
-/* ---- jobs ------------------------------------------------------------------------------------------------------------ */
-
 /* Levels above the root of an octree of depth 0 or 1 are virtual: begin at its root all the same. */
 static visit root_of(const svo_view *v)
 {
@@ -250,38 +239,89 @@ static visit root_of(const svo_view *v)
     return n;
 }
 
+static bool wanted(const selecting *s, uint64_t instance)
+{
+    const svo_scene *scene = s->scene;
+    return !scene->assets[scene->instance_asset[instance]]->empty && (s->o->everything || svo_scene_instance_pose(scene, instance) != NULL);
+}
+
+static sight see_page(const selecting *s, uint32_t page)
+{
+    double low[3], high[3], size;
+    for (int k = 0; k < 3; k++) low[k] = s->scene->pages[page].low[k] - s->origin[k], high[k] = s->scene->pages[page].high[k] - s->origin[k];
+    return project(s, low, high, &size);
+}
+
+static svo_result run_page(const selecting *s, uint32_t page, output *out, svo_error *err)
+{
+    const svo_scene_page *g = &s->scene->pages[page];
+    if (see_page(s, page) != SEEN) return SVO_OK;
+    out->report.pages_seen++;
+    for (uint64_t i = g->first; i < g->first + g->count; i++) {
+        if (!wanted(s, i)) continue;
+        job j = {root_of(s->scene->assets[s->scene->instance_asset[i]]), page, i};
+        SVO_TRY(run_job(s, &j, out, err));
+    }
+    return SVO_OK;
+}
+
+static svo_result run_jobs(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    selecting *s = user;
+    output *out = &s->outputs[worker];
+    for (uint64_t i = begin; i < end; i++) {
+        s->spans[i] = (span){worker, out->boxes.size / sizeof(svo_selected), 0};
+        SVO_TRY(s->jobs[i].instance == WHOLE_PAGE ? run_page(s, s->jobs[i].page, out, err) : run_job(s, &s->jobs[i], out, err));
+        s->spans[i].count = out->boxes.size / sizeof(svo_selected) - s->spans[i].first;
+    }
+    return SVO_OK;
+}
+
+/* ---- jobs ------------------------------------------------------------------------------------------------------------ */
+
 static svo_result list_jobs(selecting *s, svo_buffer *jobs, svo_select_report *r, svo_error *err)
 {
     const svo_scene *scene = s->scene;
-    double size;
+    uint64_t seen = 0;
     for (uint32_t p = 0; p < scene->page_count; p++) {
         const svo_scene_page *page = &scene->pages[p];
-        double low[3], high[3];
-        uint64_t wanted = 0;
-        if (s->o->everything) wanted = page->count;
-        else if (scene->instance_pose != NULL)
-            for (uint64_t i = page->first; i < page->first + page->count; i++) wanted += scene->instance_pose[i] != SVO_NO_POSE;
-        if (wanted == 0) continue;
+        uint64_t instances = 0;
+        for (uint64_t i = page->first; i < page->first + page->count; i++) instances += wanted(s, i);
+        if (instances == 0) continue;
         r->pages++;
-        r->instances += wanted;
-        for (int k = 0; k < 3; k++) low[k] = page->low[k] - s->origin[k], high[k] = page->high[k] - s->origin[k];
-        if (!project(s, low, high, &size)) continue;
-        r->pages_seen++;
-        for (uint64_t i = page->first; i < page->first + page->count; i++) {
-            const svo_view *v = scene->assets[scene->instance_asset[i]];
-            if (v->empty || (!s->o->everything && scene->instance_pose[i] == SVO_NO_POSE)) continue;
-            job j = {root_of(v), p, i};
-            if (svo_buffer_append(jobs, &j, sizeof j) == NULL) return no_memory(err);
+        r->instances += instances;
+        if (see_page(s, p) != SEEN) continue;
+        seen += instances;
+        job j = {.page = p, .instance = WHOLE_PAGE};
+        if (svo_buffer_append(jobs, &j, sizeof j) == NULL) return no_memory(err);
+    }
+    s->by_pages = seen > BY_PAGES;
+    if (s->by_pages) return SVO_OK;
+    uint64_t pages = jobs->size / sizeof(job);
+    svo_buffer each;
+    svo_buffer_init(&each, s->o->allocator);
+    bool ok = true;
+    r->pages_seen = pages;
+    for (uint64_t n = 0; n < pages && ok; n++) {
+        uint32_t p = ((const job *)(const void *)jobs->data)[n].page;
+        const svo_scene_page *page = &scene->pages[p];
+        for (uint64_t i = page->first; i < page->first + page->count && ok; i++) {
+            job j = {.page = p, .instance = i};
+            if (!wanted(s, i)) continue;
+            j.top = root_of(scene->assets[scene->instance_asset[i]]);
+            ok = svo_buffer_append(&each, &j, sizeof j) != NULL;
         }
     }
-    return SVO_OK;
+    svo_buffer_free(jobs);
+    *jobs = each;
+    return ok ? SVO_OK : no_memory(err);
 }
 
 /* Few instances: cut them, so that all threads have work. Depends on the scene only. */
 static svo_result split_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
 {
     enum { ENOUGH = 1024, ROUNDS = 5 };
-    for (int round = 0; round < ROUNDS && jobs->size / sizeof(job) < ENOUGH; round++) {
+    for (int round = 0; round < ROUNDS && jobs->size / sizeof(job) < ENOUGH && !s->by_pages; round++) {
         svo_buffer more;
         svo_buffer_init(&more, s->o->allocator);
         bool ok = true;
@@ -313,24 +353,71 @@ static svo_result split_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
 
 static void add_report(svo_select_report *to, const svo_select_report *r)
 {
-    to->overflowed += r->overflowed, to->visited += r->visited, to->outside += r->outside;
+    to->pages_seen += r->pages_seen, to->overflowed += r->overflowed, to->visited += r->visited, to->outside += r->outside, to->hidden += r->hidden;
     to->selected += r->selected, to->finest += r->finest;
 }
 
-static void look(selecting *s)
+/* Jobs from near to far, so that what is near hides what is far. */
+typedef struct nearness { double near; uint64_t job; } nearness;
+
+static int compare_nearness(const void *a, const void *b)
 {
-    const svo_select_options *o = s->o;
-    const svo_vec3 axes[3] = {o->eye.right, o->eye.up, o->eye.forward};
-    for (int i = 0; i < 3; i++) s->axis[i][0] = axes[i].x, s->axis[i][1] = axes[i].y, s->axis[i][2] = axes[i].z;
-    double ty = tan(0.5 * o->eye.yfov), tx = ty * o->width / o->height;
-    for (int k = 0; k < 3; k++) {
-        s->plane[0][k] = s->axis[0][k] + tx * s->axis[2][k];
-        s->plane[1][k] = -s->axis[0][k] + tx * s->axis[2][k];
-        s->plane[2][k] = s->axis[1][k] + ty * s->axis[2][k];
-        s->plane[3][k] = -s->axis[1][k] + ty * s->axis[2][k];
+    const nearness *x = a, *y = b;
+    if (x->near != y->near) return x->near < y->near ? -1 : 1;
+    return x->job < y->job ? -1 : x->job > y->job;
+}
+
+static svo_result sort_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
+{
+    uint64_t count = jobs->size / sizeof(job);
+    const job *from = (const job *)(const void *)jobs->data;
+    nearness *order = svo_alloc(s->o->allocator, count, sizeof *order);
+    svo_buffer sorted;
+    svo_buffer_init(&sorted, s->o->allocator);
+    if (count != 0 && (order == NULL || !svo_buffer_reserve(&sorted, jobs->size))) {
+        svo_free(s->o->allocator, order, count, sizeof *order);
+        return no_memory(err);
     }
-    s->focal = 0.5 * o->height / ty;
-    s->origin[0] = o->eye.position.x, s->origin[1] = o->eye.position.y, s->origin[2] = o->eye.position.z;
+    for (uint64_t i = 0; i < count; i++) {
+        svo_vec3 at;
+        if (s->by_pages) {
+            const svo_scene_page *g = &s->scene->pages[from[i].page];
+            double d[3]; /* to the page's box */
+            for (int k = 0; k < 3; k++) d[k] = fmax(0, fmax(g->low[k] - s->origin[k], s->origin[k] - g->high[k]));
+            at = svo_v3(d[0], d[1], d[2]);
+        } else {
+            const svo_view *v = s->scene->assets[s->scene->instance_asset[from[i].instance]];
+            svo_deform d = deform_of(s, &from[i]);
+            double edge = ldexp(1, (int)(v->depth - from[i].top.level));
+            at = svo_deform_point(&d, SVO_NO_BONE, svo_v3((from[i].top.cell[0] + 0.5) * edge, (from[i].top.cell[1] + 0.5) * edge, (from[i].top.cell[2] + 0.5) * edge));
+        }
+        order[i] = (nearness){svo_dot(at, at), i};
+        if (!isfinite(order[i].near)) order[i].near = INFINITY;
+    }
+    if (count > 1) qsort(order, count, sizeof *order, compare_nearness);
+    for (uint64_t i = 0; i < count; i++) svo_buffer_append(&sorted, &from[order[i].job], sizeof(job));
+    svo_free(s->o->allocator, order, count, sizeof *order);
+    svo_buffer_free(jobs);
+    *jobs = sorted;
+    return SVO_OK;
+}
+
+/* Rounds grow, so that there are few where there is much; the pyramid is that of the rounds before, which makes the result independent of threads. */
+static svo_result run_all(selecting *s, uint64_t count, uint32_t threads, svo_select_report *r, svo_error *err)
+{
+    if (!s->o->occlusion) return svo_parallel_for(threads, count, 0, run_jobs, s, err);
+    const job *jobs = s->jobs;
+    span *spans = s->spans;
+    svo_result result = SVO_OK;
+    for (uint64_t first = 0, size = s->by_pages ? 8 : 64; first < count && result == SVO_OK; first += size, size += size / 4) {
+        uint64_t n = count - first < size ? count - first : size;
+        s->jobs = jobs + first, s->spans = spans + first;
+        result = svo_parallel_for(threads, n, s->by_pages ? 1 : 4, run_jobs, s, err);
+        svoi_depth_update(&s->depth);
+        r->rounds++;
+    }
+    s->jobs = jobs, s->spans = spans;
+    return result;
 }
 
 static svo_result gather(selecting *s, uint64_t jobs, svo_selection *out, svo_error *err)
@@ -341,14 +428,18 @@ static svo_result gather(selecting *s, uint64_t jobs, svo_selection *out, svo_er
     out->boxes = svo_alloc(out->allocator, total, sizeof *out->boxes);
     if (out->boxes == NULL && total != 0) return no_memory(err);
     out->count = total;
-    uint64_t seen = 0, last = UINT64_MAX;
+    uint8_t *seen = svo_calloc(out->allocator, s->scene->instance_count, 1);
+    if (seen == NULL && s->scene->instance_count != 0) return no_memory(err);
     for (uint64_t i = 0; i < jobs; i++) {
         const span *p = &s->spans[i];
         memcpy(out->boxes + at, (const svo_selected *)(const void *)s->outputs[p->worker].boxes.data + p->first, p->count * sizeof *out->boxes);
         at += p->count;
-        if (p->count != 0 && s->jobs[i].instance != last) seen++, last = s->jobs[i].instance;
     }
-    out->report.instances_seen = seen;
+    for (uint64_t i = 0; i < total; i++) {
+        out->report.instances_seen += !seen[out->boxes[i].instance];
+        seen[out->boxes[i].instance] = 1;
+    }
+    svo_free(out->allocator, seen, s->scene->instance_count, 1);
     return SVO_OK;
 }
 
@@ -362,7 +453,8 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     svo_buffer_init(&jobs, o->allocator);
     memset(out, 0, sizeof *out);
     out->allocator = o->allocator;
-    look(&s);
+    s.look = svoi_look_make(&o->eye, o->width, o->height);
+    s.origin[0] = o->eye.position.x, s.origin[1] = o->eye.position.y, s.origin[2] = o->eye.position.z;
     memcpy(out->origin, s.origin, sizeof out->origin);
     svo_result result = SVO_OK;
     s.normal_channel = svo_alloc(o->allocator, scene->asset_count, sizeof *s.normal_channel);
@@ -373,13 +465,15 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
         uint32_t c = svo_view_find_channel(scene->assets[a], "normal");
         s.normal_channel[a] = c < scene->assets[a]->channel_count && scene->assets[a]->channels[c].channel.kind == SVO_KIND_NORMAL_OCT32 ? c : SVO_MAX_CHANNELS;
     }
+    if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
     if (result == SVO_OK) result = list_jobs(&s, &jobs, &out->report, err);
     if (result == SVO_OK) result = split_jobs(&s, &jobs, err);
+    if (result == SVO_OK && o->occlusion) result = sort_jobs(&s, &jobs, err);
     uint64_t count = jobs.size / sizeof(job);
     s.jobs = (const job *)(const void *)jobs.data;
     s.spans = svo_alloc(o->allocator, count, sizeof *s.spans);
     if (result == SVO_OK && s.spans == NULL && count != 0) result = no_memory(err);
-    if (result == SVO_OK) result = svo_parallel_for(threads, count, 0, run_jobs, &s, err);
+    if (result == SVO_OK) result = run_all(&s, count, threads, &out->report, err);
     if (result == SVO_OK) result = gather(&s, count, out, err);
     for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) {
         add_report(&out->report, &s.outputs[t].report);
@@ -389,6 +483,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     svo_free(o->allocator, s.outputs, threads, sizeof *s.outputs);
     svo_free(o->allocator, s.normal_channel, scene->asset_count, sizeof *s.normal_channel);
     svo_buffer_free(&jobs);
+    svoi_depth_free(&s.depth);
     out->report.seconds = svo_seconds() - began;
     if (result != SVO_OK) svo_selection_free(out);
     return result;

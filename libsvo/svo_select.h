@@ -16,6 +16,8 @@ typedef struct svo_select_options {
     double delta;           /* a node whose picture is narrower than this many samples is taken as it is (3.2.5); > 0 */
     bool everything;        /* instances without a pose too */
     bool frustum;           /* leave out what is outside the picture (3.2.3) */
+    bool occlusion;         /* leave out what is behind nearer boxes at every sample (3.2.7, with depths of this picture: nothing that a sample shows is lost) */
+    double overhang[2];     /* cells reach beyond their box by less than these many times its shortest and its longest side; 0: boxes are drawn as they are */
     bool whole;             /* ignore the size: down to the finest voxels everywhere */
     uint32_t threads;       /* 0 = all */
     const svo_allocator *allocator;
@@ -33,7 +35,8 @@ typedef struct svo_select_report {
     uint64_t pages, pages_seen;         /* that hold instances to select; of them inside the picture */
     uint64_t instances, instances_seen; /* the same for instances */
     uint64_t overflowed;                /* instances left out because their boxes are not finite */
-    uint64_t visited, outside;          /* nodes deformed; of them outside the picture */
+    uint64_t visited, outside, hidden;  /* nodes deformed; of them outside the picture, behind others */
+    uint32_t rounds;                    /* of occlusion: depths are those of earlier rounds */
     uint64_t selected, finest;          /* of them finest voxels */
     double seconds;
 } svo_select_report;
@@ -42,13 +45,20 @@ typedef struct svo_selection {
     const svo_allocator *allocator;
     double origin[3];
     uint64_t count;
-    svo_selected *boxes; /* in the order of pages, instances and nodes */
+    svo_selected *boxes; /* in the order of pages, instances and nodes; with occlusion from near to far */
     svo_select_report report;
 } svo_selection;
 
 /* Does not depend on threads. Of a full leaf only nodes at its surface are taken: what is inside cannot be seen. */
 svo_result svo_select(const svo_scene *scene, const svo_select_options *options, svo_selection *out, svo_error *err);
 void svo_selection_free(svo_selection *s);
+
+/* Draw the boxes themselves (the thesis' direct output): for each sample of the picture the nearest box that its ray meets, and the depth along the view's axis.
+ * owner, depth: width * height; UINT32_MAX and infinity where there is none. Of equal depths the lower number wins. */
+svo_result svo_select_draw(const svo_selection *s, const svo_select_options *options, uint32_t *owner, float *depth, svo_error *err);
+
+/* A picture of the boxes, without shadows, with the options of svo_render (eye, size, samples, light, ambient, background). pixels as in svo_render. */
+svo_result svo_select_render(const svo_scene *scene, const svo_selection *s, const svo_render_options *o, uint8_t *pixels, uint64_t *covered, svo_error *err);
 
 #ifdef __cplusplus
 }

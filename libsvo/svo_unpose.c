@@ -192,7 +192,12 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
     svo_unposed *u = svo_calloc(a, 1, sizeof *u);
     if (u == NULL) return no_memory(err);
     u->allocator = a;
-    svo_result result = svo_select(scene, &o->select, &selection, err);
+    svo_select_options select = o->select;
+    if (select.occlusion) { /* how far the cells of svo_resample reach */
+        bool emit = o->method == SVO_RESAMPLE_EMIT;
+        select.overhang[0] = emit ? 2 : 0, select.overhang[1] = emit ? 0.125 : 1;
+    }
+    svo_result result = svo_select(scene, &select, &selection, err);
     if (result != SVO_OK) {
         svo_unposed_free(u);
         return result;

@@ -147,42 +147,71 @@ static svo_result save_octree(cli *c, const svo_view *view, const char *path, co
     return r;
 }
 
-static void report_unpose(cli *c, const svo_unpose_report *r, int resample)
+static json_t *report_selection(cli *c, const svo_select_report *r, int resample)
 {
     static const char *const names[] = {"auto", "direct", "resize", "emit"};
     json_t *o = cli_section(c, "deformation");
     cli_put_text(o, "resample", names[resample]);
-    cli_put_u64(o, "pages", r->select.pages);
-    cli_put_u64(o, "pages_seen", r->select.pages_seen);
-    cli_put_u64(o, "instances", r->select.instances);
-    cli_put_u64(o, "instances_seen", r->select.instances_seen);
-    cli_put_u64(o, "nodes_visited", r->select.visited);
-    cli_put_u64(o, "nodes_outside", r->select.outside);
-    cli_put_u64(o, "selected", r->select.selected);
-    cli_put_u64(o, "selected_finest", r->select.finest);
-    cli_put_u64(o, "overflowed", r->select.overflowed);
+    cli_put_u64(o, "pages", r->pages);
+    cli_put_u64(o, "pages_seen", r->pages_seen);
+    cli_put_u64(o, "instances", r->instances);
+    cli_put_u64(o, "instances_seen", r->instances_seen);
+    cli_put_u64(o, "nodes_visited", r->visited);
+    cli_put_u64(o, "nodes_outside", r->outside);
+    cli_put_u64(o, "nodes_hidden", r->hidden);
+    cli_put_u64(o, "occlusion_rounds", r->rounds);
+    cli_put_u64(o, "selected", r->selected);
+    cli_put_u64(o, "selected_finest", r->finest);
+    cli_put_u64(o, "overflowed", r->overflowed);
+    cli_put_f64(o, "seconds_select", r->seconds);
+    if (r->overflowed != 0)
+        svo_warn(&c->warnings, "%llu parts of instances are left out: their pose takes them beyond the range of numbers", (unsigned long long)r->overflowed);
+    return o;
+}
+
+static void report_unpose(cli *c, const svo_unpose_report *r, int resample)
+{
+    json_t *o = report_selection(c, &r->select, resample);
     cli_put_u64(o, "samples", r->resample.samples);
     cli_put_u64(o, "samples_coarsened", r->resample.coarsened);
     cli_put_u64(o, "samples_clamped", r->resample.clamped);
     cli_put_u64(o, "cells", r->hierarchy.cells);
     cli_put_u64(o, "octree_depth", r->resample.depth);
     cli_put_u64(o, "octree_bytes", r->hierarchy.bytes);
-    cli_put_f64(o, "seconds_select", r->select.seconds);
     cli_put_f64(o, "seconds_resample", r->resample.seconds);
     cli_put_f64(o, "seconds_attributes", r->seconds_values);
     cli_put_f64(o, "seconds_sort", r->hierarchy.seconds_sort);
     cli_put_f64(o, "seconds_hierarchy", r->hierarchy.seconds_build);
 }
 
+int choose_resample(int asked, bool shadows) { return asked != RESAMPLE_AUTO ? asked : shadows ? RESAMPLE_EMIT : RESAMPLE_DIRECT; }
+
+svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, double delta, uint8_t *pixels, svo_render_stats *stats, svo_error *err)
+{
+    svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = delta, .everything = true,
+                                 .frustum = true, .occlusion = true, .threads = o->threads, .allocator = o->allocator};
+    svo_selection selection;
+    uint64_t covered = 0;
+    if (o->shadows) svo_warn(&c->warnings, "--resample direct draws no shadows: there is no octree to trace");
+    cli_phase(c, "deform");
+    SVO_TRY(svo_select(scene, &select, &selection, err));
+    report_selection(c, &selection.report, RESAMPLE_DIRECT);
+    cli_phase(c, "render");
+    svo_result r = svo_select_render(scene, &selection, o, pixels, &covered, err);
+    svo_selection_free(&selection);
+    memset(stats, 0, sizeof *stats);
+    stats->primary = (uint64_t)o->width * o->height * o->samples * o->samples;
+    stats->hits = covered;
+    stats->parent_min = INFINITY;
+    return r;
+}
+
 svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err)
 {
     svo_unpose_options o = {.select = *select, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
     svo_unpose_report r;
-    if (resample == RESAMPLE_DIRECT) return svo_fail(err, SVO_UNSUPPORTED, "--resample direct is not available yet");
     cli_phase(c, "deform");
     SVO_TRY(svo_unpose(*scene, &o, &p->unposed, &r, err));
-    if (r.select.overflowed != 0)
-        svo_warn(&c->warnings, "%llu parts of instances are left out: their pose takes them beyond the range of numbers", (unsigned long long)r.select.overflowed);
     report_unpose(c, &r, resample == RESAMPLE_RESIZE ? RESAMPLE_RESIZE : RESAMPLE_EMIT);
     *scene = svo_unposed_scene(p->unposed);
     if (save == NULL) return SVO_OK;

@@ -25,4 +25,11 @@ bool has_poses(const svo_scene *scene);
 svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err);
 void posing_close(posing *p);
 
+/* What --resample auto is: boxes as they are when nothing but the eye asks what is where, else cells that follow them (figure 29, for a renderer without a budget
+ * of time). */
+int choose_resample(int asked, bool shadows);
+
+/* The picture of all instances by their boxes (--resample direct). */
+svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, double delta, uint8_t *pixels, svo_render_stats *stats, svo_error *err);
+
 #endif

@@ -250,15 +250,21 @@ static void report_picture(cli *c, const svo_render_options *o, const svo_render
 static void show_progress(void *user, double fraction) { cli_progress(user, "rendering", fraction); }
 
 /* A scene with poses to one without, for this picture; the camera is chosen on the way. */
-static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose *stated, const float matrix[12], const char **camera, svo_error *err)
+static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose *stated, const float matrix[12], const char **camera, bool *direct,
+                         svo_error *err)
 {
+    *direct = false;
     if (stated != NULL) SVO_TRY(pose_scene(p, scene, stated, matrix, o->allocator, err));
     bool everything = ask.save_svo != NULL && !has_poses(*scene); /* the octree of a scene without poses is that of all of it */
-    if (!has_poses(*scene) && !everything) return SVO_OK;
+    if (!has_poses(*scene) && !everything && ask.resample != RESAMPLE_DIRECT) return SVO_OK;
     SVO_TRY(choose_camera(*scene, NULL, o, camera, err));
+    *direct = true;
     svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = everything,
-                                 .frustum = !o->shadows, .threads = o->threads, .allocator = o->allocator};
-    return unpose_scene(p, c, scene, &select, ask.resample, ask.save_svo, err);
+                                 .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
+    int resample = choose_resample(ask.save_svo != NULL && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
+    if (resample == RESAMPLE_DIRECT) return ask.save_svo == NULL ? SVO_OK : svo_fail(err, SVO_INVALID_ARGUMENT, "--resample direct makes no octree for --save-svo");
+    *direct = false;
+    return unpose_scene(p, c, scene, &select, resample, ask.save_svo, err);
 }
 
 static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err)
@@ -274,6 +280,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     uint8_t *pixels = NULL;
     uint64_t count = (uint64_t)o->width * o->height, bytes = 0;
     const char *camera = "";
+    bool direct = false;
     svo_result r = SVO_OK;
     if (!ends_with(c->output, ".png") && strcmp(c->output, "-") != 0)
         return svo_fail(err, SVO_UNSUPPORTED, "%s: svo-render writes .png only", c->output);
@@ -283,9 +290,10 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
     scene = in.scene;
-    if ((r = unpose(c, &posed, &scene, o, stated, matrix, &camera, err)) != SVO_OK) goto done;
+    if ((r = unpose(c, &posed, &scene, o, stated, matrix, &camera, &direct, err)) != SVO_OK) goto done;
     cli_phase(c, "hierarchy");
-    if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
+    if (direct) b = (svo_bvh_report){.instances = scene->instance_count, .placed = scene->instance_count};
+    else if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
     report_input(c, &in, &b);
     if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
     if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
@@ -295,7 +303,8 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
         goto done;
     }
     cli_phase(c, "render");
-    if ((r = svo_render(bvh, scene, o, pixels, &stats, err)) != SVO_OK) goto done;
+    r = direct ? draw_direct(c, scene, o, ask.delta, pixels, &stats, err) : svo_render(bvh, scene, o, pixels, &stats, err);
+    if (r != SVO_OK) goto done;
     cli_phase(c, "write");
     uint32_t channels = 4;
     if (!o->transparent) {

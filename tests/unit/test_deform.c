@@ -7,6 +7,7 @@
 
 #include "packer.h"
 #include "svo_morton.h"
+#include "svo_pack.h"
 #include "svo_resample.h"
 #include "test.h"
 
@@ -413,6 +414,120 @@ TEST(selection_stops_where_voxels_are_small)
     }
     CHECK_MSG(last < w.count / 4, "%llu of %llu", (unsigned long long)last, (unsigned long long)w.count);
     world_free(&w);
+}
+
+/* A grid of posed spheres, many behind others. */
+typedef struct crowd {
+    svo_view *view;
+    svo_scene scene;
+    svo_packed_scene *packed;
+} crowd;
+
+static void crowd_make(crowd *c, uint32_t side, uint32_t page)
+{
+    static svo_error err;
+    uint64_t *codes, count, seed = 6;
+    c->view = sphere(&codes, &count);
+    free(codes);
+    svo_place *places = calloc(side * side, sizeof *places);
+    svo_pose *poses = calloc(side * side, sizeof *poses);
+    for (uint32_t i = 0; i < side * side; i++) {
+        svo_mat4 m = svo_mat4_trs((double[3]){20.0 * (i % side), 0, -20.0 * (i / side)}, (double[4]){0, (double)i, 0, 1}, (double[3]){1, 1.5, 1});
+        memcpy(places[i].transform, m.m, sizeof places[i].transform);
+        places[i].id = i, places[i].pose = i + 1;
+        poses[i] = svo_pose_stated();
+        poses[i].flags = SVO_POSE_TWIST, poses[i].twist_axis = (uint8_t)(i % 3), poses[i].twist_angle = (float)between(&seed, -4, 4);
+    }
+    svo_pack_input in = {.asset_count = 1, .assets = (const svo_view *const[]){c->view}, .asset_names = (const char *const[]){""}, .place_count = side * side,
+                         .places = places, .poses = {.count = side * side, .pose = poses}};
+    svo_pack_options o = {.page_instances = page};
+    CHECK_OK(svo_pack(&in, &o, &c->packed, &err));
+    c->scene = *svo_packed_scene_get(c->packed);
+    free(places);
+    free(poses);
+}
+
+static void crowd_free(crowd *c)
+{
+    svo_packed_scene_free(c->packed);
+    packer_free(c->view);
+}
+
+/* With and without culling the same boxes are seen at the same depths, sample by sample; by instances and by pages; whatever the threads. */
+TEST(culling_loses_nothing_that_is_seen)
+{
+    svo_error err = {0};
+    for (int big = 0; big < 2; big++) {
+        crowd c;
+        crowd_make(&c, big ? 66 : 12, big ? 64 : 16);
+        if (test_failed()) return;
+        svo_select_options o = {.width = 240, .height = 150, .delta = big ? 6 : 1.5};
+        CHECK_OK(svo_eye_look(svo_v3(-30, 40, 60), svo_v3(60, 0, -80), svo_v3(0, 1, 0), 0.9, &o.eye, &err));
+        uint64_t samples = 240 * 150, shown = 0;
+        uint32_t *owner = malloc(4 * samples);
+        float *depth[3];
+        svo_selection s[3];
+        for (int i = 0; i < 3; i++) {
+            o.frustum = o.occlusion = i > 0;
+            o.threads = i == 2 ? 3 : 1;
+            depth[i] = malloc(4 * samples);
+            CHECK_OK(svo_select(&c.scene, &o, &s[i], &err));
+            CHECK_OK(svo_select_draw(&s[i], &o, owner, depth[i], &err));
+        }
+        for (uint64_t i = 0; i < samples; i++) shown += isfinite(depth[0][i]) != 0;
+        CHECK(shown > samples / 4);
+        CHECK(memcmp(depth[0], depth[1], 4 * samples) == 0);
+        CHECK_U64(s[1].count, s[2].count);
+        CHECK(memcmp(s[1].boxes, s[2].boxes, s[1].count * sizeof *s[1].boxes) == 0);
+        CHECK_MSG(s[1].count < s[0].count / 2, "%llu of %llu", (unsigned long long)s[1].count, (unsigned long long)s[0].count);
+        for (int i = 0; i < 3; i++) {
+            svo_selection_free(&s[i]);
+            free(depth[i]);
+        }
+        free(owner);
+        crowd_free(&c);
+    }
+}
+
+/* The same for cells: the first hit of every sample's ray is where it is without culling. */
+TEST(culling_loses_no_cell_that_is_seen)
+{
+    svo_error err = {0};
+    crowd c;
+    crowd_make(&c, 10, 16);
+    if (test_failed()) return;
+    for (int m = 0; m < 2; m++) {
+        svo_unpose_options o = {{.width = 160, .height = 100, .delta = 1}, m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+        CHECK_OK(svo_eye_look(svo_v3(-30, 40, 60), svo_v3(60, 0, -80), svo_v3(0, 1, 0), 0.9, &o.select.eye, &err));
+        svo_scene_hit *hits[2];
+        uint64_t selected[2];
+        for (int i = 0; i < 2; i++) {
+            svo_unposed *u;
+            svo_unpose_report r;
+            svo_bvh *bvh;
+            o.select.frustum = o.select.occlusion = i > 0;
+            CHECK_OK(svo_unpose(&c.scene, &o, &u, &r, &err));
+            CHECK_OK(svo_bvh_build(svo_unposed_scene(u), 1, NULL, NULL, &bvh, NULL, &err));
+            selected[i] = r.select.selected;
+            hits[i] = malloc(160 * 100 * sizeof *hits[i]);
+            svo_render_options ro = svo_default_render_options();
+            ro.width = 160, ro.height = 100, ro.footprint = 0, ro.eye = o.select.eye;
+            for (uint32_t n = 0; n < 160 * 100; n++) {
+                svo_scene_ray ray = svo_render_ray(&ro, n % 160 + 0.5, n / 160 + 0.5);
+                svo_scene_trace(bvh, &ray, 1, &hits[i][n]);
+            }
+            svo_bvh_free(bvh);
+            svo_unposed_free(u);
+        }
+        for (uint32_t n = 0; n < 160 * 100; n++) {
+            CHECK(hits[0][n].node.hit == hits[1][n].node.hit);
+            if (hits[0][n].node.hit) CHECK_MSG(fabs(hits[0][n].node.t - hits[1][n].node.t) < 1e-9 * hits[0][n].node.t, "method %d, sample %u: %g, %g", m, n, hits[0][n].node.t, hits[1][n].node.t);
+        }
+        CHECK(selected[1] < selected[0]);
+        free(hits[0]);
+        free(hits[1]);
+    }
+    crowd_free(&c);
 }
 
 TEST(zero_instances_and_empty_assets)

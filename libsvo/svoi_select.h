@@ -1,0 +1,54 @@
+/* Boxes in a picture, and a buffer of depths with its pyramid of maxima (Willcocks 2013, 3.2.6 and 3.2.7). */
+#ifndef SVOI_SELECT_H
+#define SVOI_SELECT_H
+
+#include <math.h>
+
+#include "svo_select.h"
+
+/* How a picture is seen; positions are relative to the eye. */
+typedef struct svoi_look {
+    double axis[3][3];  /* right, up, forward */
+    double plane[4][3]; /* of the picture's sides, inside positive */
+    double focal;       /* samples at depth 1 */
+    uint32_t width, height;
+} svoi_look;
+svoi_look svoi_look_make(const svo_eye *eye, uint32_t width, uint32_t height);
+
+/* Rectangle of a box in samples; `near` is its least depth. Infinite for a box that reaches behind the eye's plane. */
+typedef struct svoi_rect { double x0, y0, x1, y1, near, far; } svoi_rect;
+svoi_rect svoi_project(const svoi_look *look, const double low[3], const double high[3]);
+/* Is all of the box beyond one side of the picture? */
+bool svoi_outside(const svoi_look *look, const double low[3], const double high[3]);
+
+/* Samples whose middles a rectangle holds: [x0, x1) x [y0, y1), empty where x0 >= x1 or y0 >= y1. */
+typedef struct svoi_span { uint32_t x0, y0, x1, y1; } svoi_span;
+static inline svoi_span svoi_samples(const svoi_look *l, const svoi_rect *r)
+{
+    svoi_span s;
+    /* (a little wider, for the rounding of the projection) */
+    double e = 1e-6;
+    s.x0 = (uint32_t)fmin(fmax(ceil(r->x0 - 0.5 - e), 0), l->width), s.y0 = (uint32_t)fmin(fmax(ceil(r->y0 - 0.5 - e), 0), l->height);
+    s.x1 = (uint32_t)fmin(fmax(floor(r->x1 - 0.5 + e) + 1, 0), l->width), s.y1 = (uint32_t)fmin(fmax(floor(r->y1 - 0.5 + e) + 1, 0), l->height);
+    return s;
+}
+
+/* Calls hit(user, x, y, depth) for the samples whose rays meet the box. Behind the eye's plane nothing is met; an eye inside a box meets it at depth 0. */
+typedef void (*svoi_sample_fn)(void *user, uint32_t x, uint32_t y, float depth);
+void svoi_draw_box(const svoi_look *look, const float low[3], const float high[3], svoi_sample_fn hit, void *user);
+
+enum { SVOI_DEPTH_LEVELS = 18 };
+typedef struct svoi_depth {
+    const svo_allocator *allocator;
+    uint32_t width, height, levels;
+    uint32_t *nearest; /* bits of the depth of each sample, written by several threads at once */
+    float *level[SVOI_DEPTH_LEVELS]; /* [l]: maxima over 2^l * 2^l samples, l >= 1 */
+} svoi_depth;
+svo_result svoi_depth_make(svoi_depth *d, uint32_t width, uint32_t height, const svo_allocator *a, svo_error *err);
+void svoi_depth_free(svoi_depth *d);
+void svoi_depth_add(void *depth, uint32_t x, uint32_t y, float at); /* a svoi_sample_fn */
+void svoi_depth_update(svoi_depth *d);
+/* Is every sample of the span nearer than `near`, as of the last update? True for an empty span. */
+bool svoi_depth_hides(const svoi_depth *d, const svoi_span *s, double near);
+
+#endif
