@@ -367,7 +367,27 @@ static int compare_nearness(const void *a, const void *b)
     return x->job < y->job ? -1 : x->job > y->job;
 }
 
-static svo_result sort_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
+/* Square of the distance from the eye: of a page's box, or of the middle of a node. */
+static double distance_of(const selecting *s, const job *j)
+{
+    double sum = 0;
+    if (j->instance == WHOLE_PAGE) {
+        const svo_scene_page *g = &s->scene->pages[j->page];
+        for (int k = 0; k < 3; k++) {
+            double d = fmax(0, fmax(g->low[k] - s->origin[k], s->origin[k] - g->high[k]));
+            sum += d * d;
+        }
+    } else {
+        const svo_view *v = s->scene->assets[s->scene->instance_asset[j->instance]];
+        svo_deform d = deform_of(s, j);
+        double edge = ldexp(1, (int)(v->depth - j->top.level));
+        svo_vec3 at = svo_deform_point(&d, SVO_NO_BONE, svo_v3((j->top.cell[0] + 0.5) * edge, (j->top.cell[1] + 0.5) * edge, (j->top.cell[2] + 0.5) * edge));
+        sum = svo_dot(at, at);
+    }
+    return isfinite(sum) ? sum : INFINITY;
+}
+
+static svo_result sort_jobs(const selecting *s, svo_buffer *jobs, svo_error *err)
 {
     uint64_t count = jobs->size / sizeof(job);
     const job *from = (const job *)(const void *)jobs->data;
@@ -378,22 +398,7 @@ static svo_result sort_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
         svo_free(s->o->allocator, order, count, sizeof *order);
         return no_memory(err);
     }
-    for (uint64_t i = 0; i < count; i++) {
-        svo_vec3 at;
-        if (s->by_pages) {
-            const svo_scene_page *g = &s->scene->pages[from[i].page];
-            double d[3]; /* to the page's box */
-            for (int k = 0; k < 3; k++) d[k] = fmax(0, fmax(g->low[k] - s->origin[k], s->origin[k] - g->high[k]));
-            at = svo_v3(d[0], d[1], d[2]);
-        } else {
-            const svo_view *v = s->scene->assets[s->scene->instance_asset[from[i].instance]];
-            svo_deform d = deform_of(s, &from[i]);
-            double edge = ldexp(1, (int)(v->depth - from[i].top.level));
-            at = svo_deform_point(&d, SVO_NO_BONE, svo_v3((from[i].top.cell[0] + 0.5) * edge, (from[i].top.cell[1] + 0.5) * edge, (from[i].top.cell[2] + 0.5) * edge));
-        }
-        order[i] = (nearness){svo_dot(at, at), i};
-        if (!isfinite(order[i].near)) order[i].near = INFINITY;
-    }
+    for (uint64_t i = 0; i < count; i++) order[i] = (nearness){distance_of(s, &from[i]), i};
     if (count > 1) qsort(order, count, sizeof *order, compare_nearness);
     for (uint64_t i = 0; i < count; i++) svo_buffer_append(&sorted, &from[order[i].job], sizeof(job));
     svo_free(s->o->allocator, order, count, sizeof *order);
@@ -402,21 +407,86 @@ static svo_result sort_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
     return SVO_OK;
 }
 
-/* Rounds grow, so that there are few where there is much; the pyramid is that of the rounds before, which makes the result independent of threads. */
-static svo_result run_all(selecting *s, uint64_t count, uint32_t threads, svo_select_report *r, svo_error *err)
+/* Cut a node that looks large into parts, so that near parts can hide far ones. */
+static svo_result cut(const selecting *s, const job *whole, svo_buffer *to, svo_error *err)
 {
-    if (!s->o->occlusion) return svo_parallel_for(threads, count, 0, run_jobs, s, err);
-    const job *jobs = s->jobs;
-    span *spans = s->spans;
-    svo_result result = SVO_OK;
-    for (uint64_t first = 0, size = s->by_pages ? 8 : 64; first < count && result == SVO_OK; first += size, size += size / 4) {
-        uint64_t n = count - first < size ? count - first : size;
-        s->jobs = jobs + first, s->spans = spans + first;
-        result = svo_parallel_for(threads, n, s->by_pages ? 1 : 4, run_jobs, s, err);
-        svoi_depth_update(&s->depth);
-        r->rounds++;
+    enum { LARGE = 64 }; /* samples */
+    const svo_view *v = s->scene->assets[s->scene->instance_asset[whole->instance]];
+    svo_deform d = deform_of(s, whole);
+    visit stack[8 * SVO_MAX_DEPTH + 8], next[8];
+    uint32_t top = 0;
+    stack[top++] = whole->top;
+    while (top != 0) {
+        job part = {stack[--top], whole->page, whole->instance};
+        double low[3], high[3], size = 0;
+        fate f = judge(s, &d, v, &part.top, ldexp(1, (int)(v->depth - part.top.level)), low, high);
+        if (f == OUTSIDE || f == BEHIND) continue;
+        if (f == DESCEND) {
+            svoi_rect r = svoi_project(&s->look, low, high);
+            size = fmax(r.x1 - r.x0, r.y1 - r.y0);
+        }
+        if (f == DESCEND && size > LARGE && part.top.level + 4u <= v->depth) {
+            uint32_t count = children(v, &part.top, next);
+            while (count != 0) stack[top++] = next[--count];
+        } else if (svo_buffer_append(to, &part, sizeof part) == NULL) return no_memory(err);
     }
-    s->jobs = jobs, s->spans = spans;
+    return SVO_OK;
+}
+
+/* Pages that look large become their instances, and these their parts. */
+static svo_result cut_pages(const selecting *s, const job *pages, uint64_t count, svo_buffer *to, svo_select_report *report, svo_error *err)
+{
+    for (uint64_t n = 0; n < count; n++) {
+        const svo_scene_page *g = &s->scene->pages[pages[n].page];
+        if (pages[n].instance != WHOLE_PAGE) {
+            SVO_TRY(cut(s, &pages[n], to, err));
+            continue;
+        }
+        double low[3], high[3];
+        for (int k = 0; k < 3; k++) low[k] = g->low[k] - s->origin[k], high[k] = g->high[k] - s->origin[k];
+        svoi_rect r = svoi_project(&s->look, low, high);
+        double size = fmax(r.x1 - r.x0, r.y1 - r.y0), apart = sqrt((double)g->count);
+        if (size / apart < 24) { /* its instances are small */
+            if (svo_buffer_append(to, &pages[n], sizeof pages[n]) == NULL) return no_memory(err);
+            continue;
+        }
+        if (see_page(s, pages[n].page) != SEEN) continue;
+        report->pages_seen++;
+        for (uint64_t i = g->first; i < g->first + g->count; i++) {
+            if (!wanted(s, i)) continue;
+            job j = {root_of(s->scene->assets[s->scene->instance_asset[i]]), pages[n].page, i};
+            SVO_TRY(cut(s, &j, to, err));
+        }
+    }
+    return SVO_OK;
+}
+
+/* From near to far in rounds that grow; the pyramid is that of the rounds before, so the result does not depend on threads. Jobs are replaced by their parts. */
+static svo_result run_by_depth(selecting *s, svo_buffer *jobs, svo_buffer *spans, uint32_t threads, svo_select_report *r, svo_error *err)
+{
+    enum { PAGES_AT_A_TIME = 8 };
+    SVO_TRY(sort_jobs(s, jobs, err));
+    uint64_t count = jobs->size / sizeof(job), step = s->by_pages ? PAGES_AT_A_TIME : count;
+    svo_result result = SVO_OK;
+    uint64_t size = 32;
+    for (uint64_t n = 0; n < count && result == SVO_OK; n += step) {
+        svo_buffer parts;
+        svo_buffer_init(&parts, s->o->allocator);
+        result = cut_pages(s, (const job *)(const void *)jobs->data + n, count - n < step ? count - n : step, &parts, r, err);
+        if (result == SVO_OK) result = sort_jobs(s, &parts, err);
+        uint64_t all = parts.size / sizeof(job);
+        for (uint64_t first = 0; first < all && result == SVO_OK; first += size) {
+            if (first != 0) size += size / 8;
+            uint64_t some = all - first < size ? all - first : size;
+            span *to = svo_buffer_append(spans, NULL, some * sizeof(span));
+            if (to == NULL) result = no_memory(err);
+            s->jobs = (const job *)(const void *)parts.data + first, s->spans = to;
+            if (result == SVO_OK) result = svo_parallel_for(threads, some, 2, run_jobs, s, err);
+            svoi_depth_update(&s->depth);
+            r->rounds++;
+        }
+        svo_buffer_free(&parts);
+    }
     return result;
 }
 
@@ -449,8 +519,9 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     double began = svo_seconds();
     uint32_t threads = o->threads != 0 ? o->threads : svo_processor_count();
     selecting s = {.scene = scene, .o = o};
-    svo_buffer jobs;
+    svo_buffer jobs, spans;
     svo_buffer_init(&jobs, o->allocator);
+    svo_buffer_init(&spans, o->allocator);
     memset(out, 0, sizeof *out);
     out->allocator = o->allocator;
     s.look = svoi_look_make(&o->eye, o->width, o->height);
@@ -467,19 +538,18 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     }
     if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
     if (result == SVO_OK) result = list_jobs(&s, &jobs, &out->report, err);
-    if (result == SVO_OK) result = split_jobs(&s, &jobs, err);
-    if (result == SVO_OK && o->occlusion) result = sort_jobs(&s, &jobs, err);
-    uint64_t count = jobs.size / sizeof(job);
+    if (result == SVO_OK && !o->occlusion) result = split_jobs(&s, &jobs, err);
+    if (result == SVO_OK && o->occlusion) result = run_by_depth(&s, &jobs, &spans, threads, &out->report, err);
+    else if (result == SVO_OK && svo_buffer_append(&spans, NULL, jobs.size / sizeof(job) * sizeof(span)) == NULL && jobs.size != 0) result = no_memory(err);
+    s.spans = (span *)(void *)spans.data;
     s.jobs = (const job *)(const void *)jobs.data;
-    s.spans = svo_alloc(o->allocator, count, sizeof *s.spans);
-    if (result == SVO_OK && s.spans == NULL && count != 0) result = no_memory(err);
-    if (result == SVO_OK) result = run_all(&s, count, threads, &out->report, err);
-    if (result == SVO_OK) result = gather(&s, count, out, err);
+    if (result == SVO_OK && !o->occlusion) result = svo_parallel_for(threads, jobs.size / sizeof(job), 0, run_jobs, &s, err);
+    if (result == SVO_OK) result = gather(&s, spans.size / sizeof(span), out, err);
     for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) {
         add_report(&out->report, &s.outputs[t].report);
         svo_buffer_free(&s.outputs[t].boxes);
     }
-    svo_free(o->allocator, s.spans, count, sizeof *s.spans);
+    svo_buffer_free(&spans);
     svo_free(o->allocator, s.outputs, threads, sizeof *s.outputs);
     svo_free(o->allocator, s.normal_channel, scene->asset_count, sizeof *s.normal_channel);
     svo_buffer_free(&jobs);
