@@ -9,29 +9,7 @@ __extension__ typedef __int128 wide;
 
 enum { BLOCK = 8192, FEW_EDGES = 256 /* boundary edges that are rather summed one by one */ };
 
-static const double four_pi = 12.566370614359172;
 static const double accept = 2.3; /* distance over radius from which a node is one term */
-
-/* What a node of the tree of open triangles is from afar: area-weighted centre, area vector, and first moments of it. */
-typedef struct moment {
-    double centre[3];
-    double normal[3];
-    float trace, symmetric[6]; /* of sum of (centroid - centre) x area vector: xx yy zz xy xz yz, halves added */
-    float radius;
-} moment;
-
-struct svo_winding {
-    const svo_bins *bins;
-    const svo_allocator *allocator;
-    uint64_t count;
-    uint8_t *kind; /* of each triangle */
-    svoi_tree tree[SVOI_CLASSES];
-    moment *moments; /* of the tree of open triangles */
-    svoi_boundary_edge *boundary;
-    uint64_t boundary_count;
-    svoi_tree edges;
-    double *length; /* sums of times * length, nodes of `edges` */
-};
 
 /* --- building ----------------------------------------------------------------------------------------------------- */
 
@@ -47,14 +25,7 @@ static void triangle_box(void *user, uint32_t t, svoi_box *box)
     }
 }
 
-static void edge_box(void *user, uint32_t e, svoi_box *box)
-{
-    const svoi_boundary_edge *b = &((const svo_winding *)user)->boundary[e];
-    for (int k = 0; k < 3; k++) {
-        box->low[k] = b->a[k] < b->b[k] ? b->a[k] : b->b[k];
-        box->high[k] = b->a[k] < b->b[k] ? b->b[k] : b->a[k];
-    }
-}
+static void edge_box(void *user, uint32_t e, svoi_box *box) { svoi_edge_box(&((const svo_winding *)user)->boundary[e], box); }
 
 typedef struct scan {
     svo_winding *w;
@@ -120,16 +91,26 @@ static bool build_edges(svo_winding *w, uint32_t lattice_bits)
     svo_free(w->allocator, keys, n, sizeof *keys);
     if (!ok) return false;
     svoi_tree *t = &w->edges;
-    w->length = svo_calloc(w->allocator, t->node_count, sizeof *w->length);
-    if (w->length == NULL) return false;
+    w->lines = svo_calloc(w->allocator, t->node_count, sizeof *w->lines);
+    if (w->lines == NULL) return false;
     for (uint64_t i = 0; i < n; i++) {
         const svoi_boundary_edge *e = &w->boundary[t->order[i]];
+        svoi_lines *to = &w->lines[i / SVOI_TREE_LEAF];
         double d2 = 0;
-        for (int k = 0; k < 3; k++) d2 += ((double)e->b[k] - e->a[k]) * ((double)e->b[k] - e->a[k]);
-        w->length[i / SVOI_TREE_LEAF] += e->times * sqrt(d2);
+        for (int k = 0; k < 3; k++) {
+            const double d = (double)e->b[k] - e->a[k];
+            d2 += d * d;
+            to->sum[k] += e->times * d;
+        }
+        to->length += e->times * sqrt(d2);
     }
     for (uint32_t l = 1; l < t->levels; l++)
-        for (uint64_t i = 0; i < t->size[l - 1]; i++) w->length[t->first[l] + i / 2] += w->length[t->first[l - 1] + i];
+        for (uint64_t i = 0; i < t->size[l - 1]; i++) {
+            const svoi_lines *from = &w->lines[t->first[l - 1] + i];
+            svoi_lines *to = &w->lines[t->first[l] + i / 2];
+            to->length += from->length;
+            for (int k = 0; k < 3; k++) to->sum[k] += from->sum[k];
+        }
     return true;
 }
 
@@ -152,7 +133,7 @@ static void area_vector(int32_t (*q)[3], double n[3])
 /* Sums of a node before they are brought to its centre. */
 typedef struct sums { double area, centre[3], normal[3], m[3][3]; } sums;
 
-static void finish_moment(const svoi_box *box, const sums *s, moment *out)
+static void finish_moment(const svoi_box *box, const sums *s, svoi_moment *out)
 {
     double m[3][3];
     for (int i = 0; i < 3; i++) out->centre[i] = s->area > 0 ? s->centre[i] / s->area : 0.5 * ((double)box->low[i] + box->high[i]);
@@ -280,7 +261,7 @@ void svo_winding_free(svo_winding *w)
     if (w == NULL) return;
     uint64_t moments = w->tree[SVOI_OPEN].node_count, lengths = w->edges.node_count;
     svo_free(w->allocator, w->moments, moments, sizeof *w->moments);
-    svo_free(w->allocator, w->length, lengths, sizeof *w->length);
+    svo_free(w->allocator, w->lines, lengths, sizeof *w->lines);
     for (int c = 0; c < SVOI_CLASSES; c++) svoi_tree_free(&w->tree[c]);
     svoi_tree_free(&w->edges);
     svo_free(w->allocator, w->boundary, w->boundary_count, sizeof *w->boundary);
@@ -364,7 +345,7 @@ static double solid_angle(int32_t (*q)[3], const int32_t p[3])
     double ab = v[0][0] * v[1][0] + v[0][1] * v[1][1] + v[0][2] * v[1][2], bc = v[1][0] * v[2][0] + v[1][1] * v[2][1] + v[1][2] * v[2][2],
            ca = v[2][0] * v[0][0] + v[2][1] * v[0][1] + v[2][2] * v[0][2];
     double den = l[0] * l[1] * l[2] + ab * l[2] + bc * l[0] + ca * l[1];
-    return 2 * atan2(det, den) / four_pi;
+    return 2 * atan2(det, den) / SVOI_FOUR_PI;
 }
 
 /* Curtains hung from the boundary to infinity along -z close the open parts. A ray along +z crosses none of them, so the winding number of
@@ -387,7 +368,7 @@ static double curtain_winding(const svo_winding *w, const int32_t p[3])
         if (bx * ay == by * ax) up = side_of(e->a, e->b, p) > 0 ? 0.0 : -0.0;
         sum += e->times * atan2(up, across);
     }
-    return (double)crossings(w, &w->tree[SVOI_OPEN], p, &number) - 2 * sum / four_pi;
+    return (double)crossings(w, &w->tree[SVOI_OPEN], p, &number) - 2 * sum / SVOI_FOUR_PI;
 }
 
 static double open_winding(const svo_winding *w, const int32_t p[3])
@@ -401,14 +382,14 @@ static double open_winding(const svo_winding *w, const int32_t p[3])
     stack[top++] = (svoi_tree_node){t->levels - 1, 0};
     while (top != 0) {
         svoi_tree_node n = stack[--top];
-        const moment *m = &w->moments[t->first[n.level] + n.at];
+        const svoi_moment *m = &w->moments[t->first[n.level] + n.at];
         double d[3] = {m->centre[0] - p[0], m->centre[1] - p[1], m->centre[2] - p[2]};
         double r2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], reach = accept * (double)m->radius;
         if (r2 > reach * reach) {
             double inverse = 1 / r2, r3 = inverse / sqrt(r2);
             double quadratic = (double)m->symmetric[0] * d[0] * d[0] + (double)m->symmetric[1] * d[1] * d[1] + (double)m->symmetric[2] * d[2] * d[2] +
                                (double)m->symmetric[3] * d[0] * d[1] + (double)m->symmetric[4] * d[0] * d[2] + (double)m->symmetric[5] * d[1] * d[2];
-            sum += r3 * (m->normal[0] * d[0] + m->normal[1] * d[1] + m->normal[2] * d[2] + (double)m->trace - 3 * quadratic * inverse) / four_pi;
+            sum += r3 * (m->normal[0] * d[0] + m->normal[1] * d[1] + m->normal[2] * d[2] + (double)m->trace - 3 * quadratic * inverse) / SVOI_FOUR_PI;
         } else if (n.level != 0) {
             top += svoi_tree_children(t, n, &stack[top]);
         } else {
@@ -443,159 +424,4 @@ bool svo_winding_inside(const svo_winding *w, const int32_t p[3], double *margin
         *margin = 1;
     }
     return inside;
-}
-
-static double gap2(const svoi_box *b, const int32_t low[3], const int32_t high[3])
-{
-    double sum = 0;
-    for (int k = 0; k < 3; k++) {
-        double d = b->low[k] > high[k] ? (double)b->low[k] - high[k] : low[k] > b->high[k] ? (double)low[k] - b->high[k] : 0;
-        sum += d * d;
-    }
-    return sum;
-}
-
-double svo_winding_change(const svo_winding *w, const int32_t low[3], const int32_t high[3])
-{
-    const svoi_tree *t = &w->edges;
-    double gradient = 0, diagonal2 = 0;
-    if (t->count == 0) return 0;
-    for (int k = 0; k < 3; k++) diagonal2 += ((double)high[k] - low[k]) * ((double)high[k] - low[k]);
-    const double diagonal = sqrt(diagonal2);
-    svoi_tree_node stack[SVOI_TREE_STACK];
-    uint32_t top = 0;
-    stack[top++] = (svoi_tree_node){t->levels - 1, 0};
-    while (top != 0) {
-        /* the law of Biot and Savart: an edge changes the number by at most its length over 4 pi d^2 */
-        svoi_tree_node n = stack[--top];
-        const svoi_box *b = svoi_tree_box(t, n);
-        double d2 = gap2(b, low, high), extent2 = 0;
-        for (int k = 0; k < 3; k++) extent2 += ((double)b->high[k] - b->low[k]) * ((double)b->high[k] - b->low[k]);
-        if (n.level != 0 && 9 * extent2 > d2) {
-            top += svoi_tree_children(t, n, &stack[top]);
-            continue;
-        }
-        if (!(d2 > 0)) return INFINITY;
-        double sum = w->length[t->first[n.level] + n.at] / d2;
-        if (n.level == 0 && 9 * extent2 > d2) { /* near: edge by edge; a straight line changes it by no more than pi / d */
-            uint64_t begin, end;
-            sum = 0;
-            for (svoi_tree_items(t, n, &begin, &end); begin < end; begin++) {
-                const svoi_boundary_edge *e = &w->boundary[t->order[begin]];
-                svoi_box own;
-                edge_box((void *)(uintptr_t)w, t->order[begin], &own);
-                double length2 = 0, near2 = gap2(&own, low, high);
-                for (int k = 0; k < 3; k++) length2 += ((double)e->b[k] - e->a[k]) * ((double)e->b[k] - e->a[k]);
-                sum += e->times * fmin(sqrt(length2) / near2, 0.25 * four_pi / sqrt(near2));
-            }
-        }
-        gradient += sum / four_pi;
-        if (gradient * diagonal > 1) return INFINITY;
-    }
-    return gradient * diagonal;
-}
-
-/* --- the nearest surface ------------------------------------------------------------------------------------------ */
-
-static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-/* Squared distance of the origin from a triangle; barycentric coordinates of the nearest point (Ericson 2005, 5.1.5). */
-static double nearest_on(double (*v)[3], double out[3])
-{
-    double ab[3], ac[3];
-    for (int k = 0; k < 3; k++) ab[k] = v[1][k] - v[0][k], ac[k] = v[2][k] - v[0][k];
-    double d1 = -dot(ab, v[0]), d2 = -dot(ac, v[0]), d3 = -dot(ab, v[1]), d4 = -dot(ac, v[1]), d5 = -dot(ab, v[2]), d6 = -dot(ac, v[2]);
-    double vc = d1 * d4 - d3 * d2, vb = d5 * d2 - d1 * d6, va = d3 * d6 - d5 * d4;
-    out[0] = 1, out[1] = out[2] = 0;
-    if (d1 <= 0 && d2 <= 0) {
-    } else if (d3 >= 0 && d4 <= d3) {
-        out[0] = 0, out[1] = 1;
-    } else if (vc <= 0 && d1 >= 0 && d3 <= 0 && d1 > d3) {
-        out[1] = d1 / (d1 - d3), out[0] = 1 - out[1];
-    } else if (d6 >= 0 && d5 <= d6) {
-        out[0] = 0, out[2] = 1;
-    } else if (vb <= 0 && d2 >= 0 && d6 <= 0 && d2 > d6) {
-        out[2] = d2 / (d2 - d6), out[0] = 1 - out[2];
-    } else if (va <= 0 && d4 >= d3 && d5 >= d6 && d4 - d3 + d5 - d6 > 0) {
-        out[2] = (d4 - d3) / (d4 - d3 + d5 - d6), out[1] = 1 - out[2], out[0] = 0;
-    } else if (va + vb + vc > 0) {
-        double scale = 1 / (va + vb + vc);
-        out[1] = vb * scale, out[2] = vc * scale, out[0] = 1 - out[1] - out[2];
-    }
-    double p[3];
-    for (int k = 0; k < 3; k++) p[k] = out[0] * v[0][k] + out[1] * v[1][k] + out[2] * v[2][k];
-    return dot(p, p);
-}
-
-/* Squared distance of a point from a box. Without branches: whether a coordinate is before, in or behind the box cannot be foreseen. */
-static inline double point_gap2(const svoi_box *b, const int32_t p[3])
-{
-    int64_t sum = 0;
-    for (int k = 0; k < 3; k++) {
-        const int64_t before = (int64_t)b->low[k] - p[k], behind = (int64_t)p[k] - b->high[k], d = before > behind ? before : behind;
-        sum += d > 0 ? d * d : 0;
-    }
-    return (double)sum;
-}
-
-/* INFINITY when its box is farther away than `most` (squared). */
-static double distance_to(const svo_winding *w, uint32_t triangle, const int32_t p[3], double most, double barycentric[3])
-{
-    svo_record r;
-    double v[3][3];
-    svo_bins_record(w->bins, triangle, &r);
-    svoi_box box;
-    for (int k = 0; k < 3; k++) {
-        const int32_t low = r.q[0][k] < r.q[1][k] ? r.q[0][k] : r.q[1][k], high = r.q[0][k] < r.q[1][k] ? r.q[1][k] : r.q[0][k];
-        box.low[k] = r.q[2][k] < low ? r.q[2][k] : low;
-        box.high[k] = r.q[2][k] > high ? r.q[2][k] : high;
-    }
-    if (point_gap2(&box, p) > most) return INFINITY;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) v[i][k] = (double)r.q[i][k] - p[k];
-    return nearest_on(v, barycentric);
-}
-
-static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p[3], double *best, uint32_t *triangle, double barycentric[3])
-{
-    svoi_tree_node stack[SVOI_TREE_STACK];
-    double bound[SVOI_TREE_STACK];
-    uint32_t top = 0;
-    bound[top] = 0;
-    stack[top++] = (svoi_tree_node){t->levels - 1, 0};
-    while (top != 0) {
-        svoi_tree_node n = stack[--top];
-        if (bound[top] > *best) continue;
-        if (n.level != 0) {
-            svoi_tree_node child[2];
-            double d[2];
-            uint32_t count = svoi_tree_children(t, n, child);
-            for (uint32_t i = 0; i < count; i++) d[i] = point_gap2(svoi_tree_box(t, child[i]), p);
-            uint32_t far = count == 2 && d[1] > d[0] ? 1 : 0; /* the nearer one is looked at first */
-            for (uint32_t i = 0; i < count; i++) {
-                uint32_t c = i == 0 ? far : far ^ 1;
-                if (d[c] > *best) continue;
-                bound[top] = d[c];
-                stack[top++] = child[c];
-            }
-            continue;
-        }
-        uint64_t begin, end;
-        svoi_tree_items(t, n, &begin, &end);
-        for (; begin < end; begin++) {
-            double b[3], d = distance_to(w, t->order[begin], p, *best, b);
-            if (d > *best || (d == *best && t->order[begin] >= *triangle)) continue;
-            *best = d;
-            *triangle = t->order[begin];
-            memcpy(barycentric, b, sizeof b);
-        }
-    }
-}
-
-bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], uint32_t *triangle, double barycentric[3])
-{
-    double best = *triangle != UINT32_MAX ? distance_to(w, *triangle, p, INFINITY, barycentric) : INFINITY;
-    for (int c = 0; c < SVOI_CLASSES; c++)
-        if (w->tree[c].count != 0) nearest_in(w, &w->tree[c], p, &best, triangle, barycentric);
-    return *triangle != UINT32_MAX;
 }

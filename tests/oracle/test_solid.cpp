@@ -245,6 +245,123 @@ TEST(several_bodies)
     against_cgal({{sphere({0, 0, 0}, 1, 10, true), -1}, {sphere({0, 0, 0}, 0.5, 10), 1}}, {5}, "cavity, inside out");
 }
 
+// A random rotation, scale and place.
+struct Motion {
+    double m[3][3], t[3];
+    explicit Motion(uint64_t *seed, double scale)
+    {
+        double q[4], n = 0;
+        for (double &x : q) x = test_random_unit(seed) - 0.5, n += x * x;
+        for (double &x : q) x /= std::sqrt(n);
+        const double r[3][3] = {{1 - 2 * (q[1] * q[1] + q[2] * q[2]), 2 * (q[0] * q[1] - q[2] * q[3]), 2 * (q[0] * q[2] + q[1] * q[3])},
+                                {2 * (q[0] * q[1] + q[2] * q[3]), 1 - 2 * (q[0] * q[0] + q[2] * q[2]), 2 * (q[1] * q[2] - q[0] * q[3])},
+                                {2 * (q[0] * q[2] - q[1] * q[3]), 2 * (q[1] * q[2] + q[0] * q[3]), 1 - 2 * (q[0] * q[0] + q[1] * q[1])}};
+        for (int i = 0; i < 3; i++) {
+            t[i] = test_random_unit(seed) - 0.5;
+            for (int k = 0; k < 3; k++) m[i][k] = r[i][k] * scale;
+        }
+    }
+    Soup operator()(Soup s) const
+    {
+        for (Triangle &x : s)
+            for (V &v : x) {
+                const V o = v;
+                for (int i = 0; i < 3; i++) v[i] = m[i][0] * o[0] + m[i][1] * o[1] + m[i][2] * o[2] + t[i];
+            }
+        return s;
+    }
+};
+
+// A tube along the (p, q) torus knot, with triangles of all shapes.
+Soup knot(int p, int q, double thickness, int along, int around)
+{
+    const double turn = 6.283185307179586;
+    auto centre = [&](double t) {
+        const double r = 2 + std::cos(q * t);
+        return V{r * std::cos(p * t), r * std::sin(p * t), -std::sin(q * t)};
+    };
+    auto at = [&](int i, int j) {
+        const double t = turn * (i % along) / along, a = turn * (j % around) / around, h = 1e-4;
+        const V c = centre(t), before = centre(t - h), behind = centre(t + h);
+        V d, u, v;
+        for (int k = 0; k < 3; k++) d[k] = behind[k] - before[k], u[k] = k == 2 ? c[k] : c[k] * 0.5;
+        auto cross = [](const V &x, const V &y) { return V{x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0]}; };
+        auto unit = [](V x) {
+            const double l = std::sqrt(x[0] * x[0] + x[1] * x[1] + x[2] * x[2]);
+            for (double &e : x) e /= l;
+            return x;
+        };
+        v = unit(cross(d, u));
+        u = unit(cross(v, d));
+        V out;
+        for (int k = 0; k < 3; k++) out[k] = c[k] + thickness * (std::cos(a) * u[k] + std::sin(a) * v[k]);
+        return out;
+    };
+    Soup s;
+    for (int i = 0; i < along; i++)
+        for (int j = 0; j < around; j++) {
+            s.push_back({at(i, j), at(i, j + 1), at(i + 1, j + 1)});
+            s.push_back({at(i, j), at(i + 1, j + 1), at(i + 1, j)});
+        }
+    return s;
+}
+
+// Does the soup look outwards? (signed volume)
+int sign_of(const Soup &s)
+{
+    double volume = 0;
+    for (const Triangle &t : s)
+        volume += t[0][0] * (t[1][1] * t[2][2] - t[1][2] * t[2][1]) + t[0][1] * (t[1][2] * t[2][0] - t[1][0] * t[2][2]) + t[0][2] * (t[1][0] * t[2][1] - t[1][1] * t[2][0]);
+    return volume > 0 ? 1 : -1;
+}
+
+TEST(random_bodies)
+{
+    uint64_t seed = 11;
+    for (int round = 0; round < 4; round++) {
+        const Motion a(&seed, 1), b(&seed, 0.9), c(&seed, 0.3);
+        const uint32_t depth = 5 + uint32_t(round) % 2;
+        // boxes in boxes, each turned by itself: overlapping, and one with a cavity
+        against_cgal({{a(box({-1, -1, -1}, {1, 1, 1})), 1}, {b(box({-1, -0.4, -0.7}, {1, 0.4, 0.7})), 1}}, {depth}, "rotated boxes");
+        const Soup outer = a(box({-2, -2, -2}, {2, 2, 2})), inner = turned(a(c(box({-1, -1, -1}, {1, 1, 1}))));
+        against_cgal({{outer, 1}, {inner, -1}}, {depth}, "a rotated box with a cavity");
+        against_cgal({{sphere({0, 0, 0}, 1, 9), 1}, {b(sphere({0, 0, 0}, 1, 7)), 1}}, {depth}, "two spheres");
+        Soup k = a(knot(2, 3, 0.3 + 0.05 * round, 60, 6));
+        const int sign = sign_of(k);
+        against_cgal({{k, sign}}, {depth}, "torus knot");
+        against_cgal({{k, sign}, {sign > 0 ? b(sphere({1, 0, 0}, 1.5, 6)) : turned(b(sphere({1, 0, 0}, 1.5, 6))), sign}}, {depth}, "a sphere across a torus knot");
+    }
+}
+
+// A tube so thick that it passes through itself: inside where it winds round a point at all.
+TEST(self_intersecting)
+{
+    uint64_t seed = 3;
+    for (int round = 0; round < 2; round++) {
+        Soup s = Motion(&seed, 1)(knot(2, 3, 0.9, 48, 7));
+        if (sign_of(s) < 0) s = turned(s);
+        for (svo_surface surface : {SVO_SURFACE_CONSERVATIVE, SVO_SURFACE_THIN}) {
+            if (test_failed()) return;
+            against_winding(s, 5, surface, "thick knot", 3);
+        }
+    }
+}
+
+// Triangles cut out at random, some of them turned: rims of all sizes, also ones that touch.
+TEST(random_holes)
+{
+    uint64_t seed = 29;
+    for (int round = 0; round < 3; round++) {
+        Soup whole = Motion(&seed, 1)(round == 2 ? knot(2, 3, 0.45, 40, 6) : sphere({0, 0, 0}, 1, 10)), s;
+        if (sign_of(whole) < 0) whole = turned(whole);
+        const uint64_t keep = 4 + uint64_t(round) * 6;
+        for (const Triangle &t : whole)
+            if (test_random(&seed) % keep != 0) s.push_back(t);
+        against_winding(s, 6, SVO_SURFACE_CONSERVATIVE, "random holes", 40);
+        if (test_failed()) return;
+    }
+}
+
 TEST(faces_that_look_the_other_way_are_turned)
 {
     Soup s = sphere({0, 0, 0}, 1, 10), in = sphere({0, 0, 0}, 0.5, 8, true);
