@@ -5,6 +5,7 @@
 #include "fmt_container.h"
 #include "skel_build.h"
 #include "skel_skin.h"
+#include "skel_solid.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -34,6 +35,9 @@ svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const s
 
 /* The curve as SWC: number, type 0, x y z, radius, parent or -1. Bones that close a loop are left out and counted in a comment. */
 svo_result fmt_export_skel_swc(fmt_output *out, const skel_skeleton *s, const skel_tree *tree, svo_error *err);
+
+/* A reconstructed surface as binary PLY: x y z (double), invented (uchar: 1 where a hole was closed); triangles. */
+svo_result fmt_export_closed_ply(fmt_output *out, const skel_closed *c, svo_error *err);
 
 #ifdef __cplusplus
 }

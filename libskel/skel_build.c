@@ -5,7 +5,8 @@
 #include <string.h>
 
 #include "skeli_internal.h"
-#include "skeli_surface.h"
+#include "skel_solid.h"
+#include "skeli_solid.h"
 
 skel_options skel_default_options(void)
 {
@@ -21,6 +22,7 @@ svo_result skeli_check_options(const skel_options *o, svo_error *err)
     if (!(o->omega >= SKEL_MIN_OMEGA && o->omega <= SKEL_MAX_OMEGA))
         return svo_fail(err, SVO_INVALID_ARGUMENT, "omega must be %g to %g, not %g", SKEL_MIN_OMEGA, SKEL_MAX_OMEGA, o->omega);
     if (!(o->delta >= 0) || !isfinite(o->delta)) return svo_fail(err, SVO_INVALID_ARGUMENT, "delta must be 0 or more, not %g", o->delta);
+    if (o->solid_divide > 64) return svo_fail(err, SVO_INVALID_ARGUMENT, "voxels of a solid are omega / 1 to omega / 64, not omega / %u", o->solid_divide);
     return SVO_OK;
 }
 
@@ -39,6 +41,7 @@ void skel_skeleton_free(skel_skeleton *s)
     svo_free(s->allocator, s->map, s->map_count, sizeof *s->map);
     svo_free(s->allocator, s->samples, 3 * s->sample_count, sizeof *s->samples);
     svo_free(s->allocator, s->sample_joint, s->sample_count, sizeof *s->sample_joint);
+    svo_free(s->allocator, s->solid.codes, s->solid.count, sizeof *s->solid.codes);
     memset(s, 0, sizeof *s);
 }
 
@@ -70,7 +73,7 @@ static svo_result curve(skeli_pool *pool, const skeli_soup *soup, const skeli_so
 {
     skel_report *r = &out->report;
     double since = svo_seconds();
-    bool needed = !o->skip_quality || o->place == SKEL_PLACE_INSIDE;
+    bool needed = !o->skip_quality || o->place == SKEL_PLACE_INSIDE || o->solid_divide > 0;
     if (needed) SVO_TRY(skeli_surface_make(pool, soup, position, points, corner, triangles, r, o->threads, surface, err));
     skeli_phase(r, "surface", &since);
     SVO_TRY(skeli_extract(pool, mesh, state, needed ? surface : NULL, o, out, joint_of, err));
@@ -98,12 +101,16 @@ static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t po
     r->tessellated_vertices = mesh.vertex_count;
     r->tessellated_triangles = mesh.triangle_count;
     skeli_phase(r, "tessellate", &since);
-    SVO_TRY(skeli_contract(pool, &mesh, o, r, &state, err));
-    skeli_phase(r, "contract", &since);
     uint32_t *joint_of = skeli_take(pool, mesh.vertex_count, sizeof *joint_of);
     if (joint_of == NULL) return skeli_no_memory(err);
     skeli_surface surface = {0};
-    svo_result result = curve(pool, &soup, &mesh, &state, position, points, corner, triangles, o, joint_of, &surface, out, err);
+    skeli_solid solid = {0};
+    svo_result result = o->solid_divide > 0 ? skeli_solid_begin(o->allocator, &mesh, o->omega * SKEL_LATTICE, o->solid_divide, &solid, err) : SVO_OK;
+    if (result == SVO_OK) result = skeli_contract(pool, &mesh, o, o->solid_divide > 0 ? &solid : NULL, r, &state, err);
+    skeli_phase(r, "contract", &since);
+    if (result == SVO_OK) result = curve(pool, &soup, &mesh, &state, position, points, corner, triangles, o, joint_of, &surface, out, err);
+    if (result == SVO_OK && o->solid_divide > 0) result = skeli_solid_end(&solid, &surface, out, err);
+    skeli_solid_free(&solid);
     skeli_surface_free(&surface);
     SVO_TRY(result);
     if (o->keep_samples) SVO_TRY(keep_samples(&mesh, joint_of, out, err));
@@ -223,6 +230,15 @@ svo_result skel_measure_quality(const svo_mesh *mesh, const skel_skeleton *s, ui
     svo_result result = flat_make(mesh, a, &f, err);
     if (result == SVO_OK) result = quality_of(&pool, &f, s, threads, out, err);
     skeli_pool_free(&pool);
+    flat_free(&f, a);
+    return result;
+}
+
+svo_result skel_reconstruct(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_closed *out, svo_error *err)
+{
+    flat f;
+    svo_result result = flat_make(mesh, a, &f, err);
+    if (result == SVO_OK) result = skeli_reconstruct(f.position, f.points, f.corner, f.triangles, s, a, out, err);
     flat_free(&f, a);
     return result;
 }

@@ -48,6 +48,7 @@ typedef struct skel_options {
     skel_search search;
     skel_place place;
     uint32_t threads; /* 0 = all; no influence on the result */
+    uint32_t solid_divide; /* > 0: fill `solid` of the skeleton with voxels of omega / solid_divide (skel_solid.h) */
     bool skip_quality; /* leave report.quality unmeasured */
     bool keep_samples; /* fill `samples` of the skeleton, which skel_bind.h needs */
     svo_warnings *warnings;
@@ -121,6 +122,14 @@ typedef struct skel_report {
     skel_phase phases[SKEL_MAX_PHASES];
 } skel_report;
 
+/* Voxels that the surface passed while it was contracted, and those inside by winding number that are joined to them. */
+typedef struct skel_solid {
+    uint32_t depth;            /* of the octree */
+    double voxel_to_world[16]; /* as in svo_tree_info */
+    uint64_t count, swept, filled;
+    uint64_t *codes; /* ascending Morton codes at `depth` */
+} skel_solid;
+
 /* A skeleton, its map and its report. Joints are in order of their components, bones sorted by (a, b). */
 typedef struct skel_skeleton {
     const svo_allocator *allocator;
@@ -136,6 +145,7 @@ typedef struct skel_skeleton {
     uint64_t sample_count;
     double *samples; /* 3 each */
     uint32_t *sample_joint;
+    skel_solid solid; /* with solid_divide; else empty */
     skel_report report;
 } skel_skeleton;
 

@@ -6,6 +6,7 @@
  * SKEL_METHOD_FAST does the same on fewer and fewer vertices: those that come within omega/8 are welded, with their count as weight
  * in m, and 4 smoothing steps share one ball search. docs/design/005-skeletons.md has the reasons and the figures. */
 #include "skeli_internal.h"
+#include "skeli_solid.h"
 
 #include <math.h>
 #include <string.h>
@@ -31,6 +32,7 @@ typedef struct contraction {
     double omega; /* lattice steps */
     bool merged_lately; /* damping waits for the welds to have done what they can */
     bool fast;
+    struct skeli_solid *solid;
     /* search */
     int32_t *point;
     uint32_t *point_weight, *point_of, *order;
@@ -307,9 +309,11 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
     movement m = {0, 0};
     if (c->fast) SVO_TRY(weld_dense(c, err));
+    if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, 0, true, err));
     for (uint64_t it = 1; it <= limit && !report->converged; it++) {
         c->merged_lately = it - last_removal <= SETTLED_AFTER;
         SVO_TRY(sweep(c, &m, err));
+        if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, m.max, false, err));
         report->iterations = it;
         quiet = m.max < STILL * c->omega ? quiet + 1 : 0;
         report->converged = o->delta > 0 ? m.sum < o->delta * SKEL_LATTICE : quiet >= STILL_SWEEPS;
@@ -323,18 +327,20 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
         if (removed * 100ull < before * 3ull) interval = interval * 2 < LAST_INTERVAL ? interval * 2 : LAST_INTERVAL;
         else interval = FIRST_INTERVAL;
         last_weld = it;
+        if (c->solid != NULL && removed > 0) SVO_TRY(skeli_solid_step(c->solid, c->s, c->omega / 8, false, err));
     }
+    if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, 0, true, err));
     report->final_movement_sum = m.sum / SKEL_LATTICE;
     report->final_movement_max = m.max / SKEL_LATTICE;
     return SVO_OK;
 }
 
-svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, skel_report *report, skeli_state *s,
+svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, struct skeli_solid *solid, skel_report *report, skeli_state *s,
                           svo_error *err)
 {
     SVO_TRY(begin_state(pool, mesh, s, err));
     uint64_t n = s->count;
-    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .fast = options->method == SKEL_METHOD_FAST};
+    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .fast = options->method == SKEL_METHOD_FAST, .solid = solid};
     c.point = skeli_take(pool, 3 * n, sizeof *c.point);
     c.point_weight = skeli_take(pool, n, sizeof *c.point_weight);
     c.sum = skeli_take(pool, n, sizeof *c.sum);

@@ -40,7 +40,7 @@ void skeli_sort_by64(uint32_t *order, uint32_t *scratch, uint64_t count, const u
     uint32_t *from = order, *to = scratch;
     for (uint32_t shift = 0; shift < bits; shift += DIGIT) {
         memset(start, 0, sizeof start);
-        for (uint64_t i = 0; i < count; i++) start[key[i] >> shift & (BUCKETS - 1)]++;
+        for (uint64_t i = 0; i < count; i++) start[key[order[i]] >> shift & (BUCKETS - 1)]++; /* what is sorted may be a part of what has keys */
         uint64_t sum = 0;
         bool one = false;
         for (uint32_t b = 0; b < BUCKETS; b++) {

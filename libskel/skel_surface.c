@@ -216,12 +216,17 @@ static svo_result make_winding(skeli_surface *s, const skel_report *r, uint32_t 
     return SVO_OK;
 }
 
-svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
-                              const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
+svo_result skeli_surface_tree(skeli_pool *pool, const skeli_soup *soup, skeli_surface *s, svo_error *err)
 {
     memset(s, 0, sizeof *s);
     s->soup = soup;
-    SVO_TRY(make_tree(pool, s, err));
+    return make_tree(pool, s, err);
+}
+
+svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
+                              const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
+{
+    SVO_TRY(skeli_surface_tree(pool, soup, s, err));
     if (soup->triangle_count == 0) return SVO_OK;
     /* a const model in a struct that has no const: nothing writes to it */
     memcpy(&s->part.positions, &position, sizeof position);

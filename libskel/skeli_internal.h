@@ -102,7 +102,8 @@ void skeli_collapse(skeli_state *s, uint32_t groups);
 void skeli_index(skeli_state *s);
 
 /* What the curve does not need is freed at the end: position, weight, live and their counts are left of the state. */
-svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, skel_report *report, skeli_state *state,
+struct skeli_solid; /* may be NULL; else it is told of every step */
+svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_options *options, struct skeli_solid *solid, skel_report *report, skeli_state *state,
                           svo_error *err);
 
 /* --- curve -------------------------------------------------------------------------------------------------------- */

@@ -7,6 +7,7 @@
 #include "fmt_skel.h"
 #include "fmt_svo.h"
 #include "skel_bind.h"
+#include "skel_solid.h"
 
 static const char *const methods[] = {"fast", "literal", NULL};
 static const char *const normalizations[] = {"ball", "box", NULL};
@@ -21,18 +22,9 @@ typedef struct tool_options {
     uint64_t max_iterations, max_vertices;
     int method, normalize, search, place;
     const char *glb, *obj, *swc;
-    uint64_t influences, smoothing;
+    uint64_t influences, smoothing, solid_divide;
     const char *bind, *bound, *solid, *reconstruct, *refine;
 } tool_options;
-
-/* What the command line of the tool is to have, but this version does not do. */
-static const char *unavailable(const tool_options *o)
-{
-    return o->solid != NULL         ? "--solid (solid voxels from the contraction)"
-           : o->reconstruct != NULL ? "--reconstruct (a closed mesh from the skeleton)"
-           : o->refine != NULL      ? "--refine (other feature sizes for some bones)"
-                                    : NULL;
-}
 
 static bool progress(void *user, double fraction)
 {
@@ -54,6 +46,7 @@ static skel_options library_options(cli *c, const tool_options *o, const svo_all
     s.place = (skel_place)o->place;
     s.threads = (uint32_t)c->threads;
     s.keep_samples = o->bind != NULL;
+    s.solid_divide = o->solid != NULL || o->reconstruct != NULL ? (uint32_t)o->solid_divide : 0;
     s.warnings = &c->warnings;
     s.progress = progress;
     s.user = c;
@@ -219,7 +212,7 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
 
 /* --- output ------------------------------------------------------------------------------------------------------- */
 
-typedef struct outputs { fmt_output *skel, *glb, *obj, *swc, *bound; } outputs;
+typedef struct outputs { fmt_output *skel, *glb, *obj, *swc, *bound, *solid, *closed; } outputs;
 
 /* All are opened before any work is done, so that a wrong path costs no time. */
 static svo_result open_all(const cli *c, const tool_options *o, outputs *out, svo_error *err)
@@ -229,6 +222,8 @@ static svo_result open_all(const cli *c, const tool_options *o, outputs *out, sv
     if (o->obj != NULL) SVO_TRY(fmt_output_open(o->obj, c->force, &out->obj, err));
     if (o->swc != NULL) SVO_TRY(fmt_output_open(o->swc, c->force, &out->swc, err));
     if (o->bound != NULL) SVO_TRY(fmt_output_open(o->bound, c->force, &out->bound, err));
+    if (o->solid != NULL) SVO_TRY(fmt_output_open(o->solid, c->force, &out->solid, err));
+    if (o->reconstruct != NULL) SVO_TRY(fmt_output_open(o->reconstruct, c->force, &out->closed, err));
     return SVO_OK;
 }
 
@@ -300,6 +295,47 @@ static svo_result write_bound(cli *c, const tool_options *o, fmt_output *out, co
     return SVO_OK;
 }
 
+static svo_result write_solid(cli *c, fmt_output *out, const skel_skeleton *s, const char *provenance, svo_error *err)
+{
+    svo_tree_info info;
+    fmt_svo_writer *writer;
+    svo_tree_counts counts;
+    SVO_TRY(skel_solid_info(s, &info, err));
+    SVO_TRY(fmt_svo_writer_begin(out, &info, provenance, 0, s->allocator, &writer, err));
+    svo_chunk_sink sink = fmt_svo_writer_sink(writer);
+    svo_result r = skel_solid_stream(s, &sink, s->allocator, NULL, err);
+    if (r != SVO_OK) {
+        fmt_svo_writer_discard(writer);
+        return r;
+    }
+    SVO_TRY(fmt_svo_writer_end(writer, &counts, err));
+    json_t *j = json_object();
+    cli_put_u64(j, "bytes", fmt_output_offset(out));
+    cli_put_u64(j, "depth", s->solid.depth);
+    cli_put_f64(j, "voxel_size", s->solid.voxel_to_world[0]);
+    cli_put_u64(j, "voxels", s->solid.count);
+    cli_put_u64(j, "voxels_passed", s->solid.swept);
+    cli_put_u64(j, "voxels_filled", s->solid.filled);
+    cli_put_u64(j, "full_leaves", counts.full_leaves);
+    json_object_set_new(cli_section(c, "output"), "solid", j);
+    return SVO_OK;
+}
+
+static svo_result write_closed(cli *c, fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, svo_error *err)
+{
+    skel_closed closed;
+    if (s->report.source != SKEL_SOURCE_MESH) return svo_fail(err, SVO_UNSUPPORTED, "--reconstruct closes the holes of a mesh; this input is voxels");
+    SVO_TRY(skel_reconstruct(mesh, s, s->allocator, &closed, err));
+    svo_result r = fmt_export_closed_ply(out, &closed, err);
+    json_t *j = json_object();
+    cli_put_u64(j, "vertices", closed.vertex_count);
+    cli_put_u64(j, "triangles", closed.triangle_count);
+    cli_put_u64(j, "vertices_invented", closed.invented_count);
+    json_object_set_new(cli_section(c, "output"), "reconstruction", j);
+    skel_closed_free(&closed);
+    return r;
+}
+
 static svo_result write_all(cli *c, const tool_options *o, outputs *out, const svo_mesh *mesh, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
 {
     SVO_TRY(fmt_skel_write(out->skel, s, provenance, err));
@@ -318,8 +354,12 @@ static svo_result write_all(cli *c, const tool_options *o, outputs *out, const s
         r = write_bound(c, o, out->bound, s, provenance, err);
         cli_phase(c, "write");
     }
+    if (r == SVO_OK && out->solid != NULL) r = write_solid(c, out->solid, s, provenance, err);
+    if (r == SVO_OK && out->closed != NULL) r = write_closed(c, out->closed, mesh, s, err);
     if (r != SVO_OK) return r;
     *bytes = fmt_output_offset(out->skel);
+    SVO_TRY(commit(&out->solid, err));
+    SVO_TRY(commit(&out->closed, err));
     SVO_TRY(commit(&out->glb, err));
     SVO_TRY(commit(&out->obj, err));
     SVO_TRY(commit(&out->swc, err));
@@ -329,8 +369,7 @@ static svo_result write_all(cli *c, const tool_options *o, outputs *out, const s
 
 static svo_result run(cli *c, const tool_options *o, svo_error *err)
 {
-    const char *what = unavailable(o);
-    if (what != NULL) return svo_fail(err, SVO_UNSUPPORTED, "%s is not available in this version", what);
+    if (o->refine != NULL) return svo_fail(err, SVO_UNSUPPORTED, "--refine (other feature sizes for some bones) is not available in this version");
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     outputs out = {0};
@@ -366,6 +405,8 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     fmt_output_discard(out.obj);
     fmt_output_discard(out.swc);
     fmt_output_discard(out.bound);
+    fmt_output_discard(out.solid);
+    fmt_output_discard(out.closed);
     json_decref(inputs);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) r = svo_fail(err, SVO_LIMIT, "--memory is too small for this model and omega");
     return r;
@@ -373,7 +414,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .place = SKEL_PLACE_INSIDE};
+    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .solid_divide = 2, .place = SKEL_PLACE_INSIDE};
     cli_option options[] = {
         {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .seen = &o.has_omega,
          .no_default = true, .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.025 suits a figure with limbs."},
@@ -401,8 +442,10 @@ int main(int argc, char **argv)
         {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Output",
          .help = "Give the voxels of this octree, which lies where the model lies, a channel with their bone."},
         {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Output", .help = "Where --bind writes the octree."},
-        {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Not available", .help = "Solid voxels from the contraction."},
-        {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Not available", .help = "A closed mesh from the skeleton."},
+        {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Output", .help = "Write an octree of what the surface encloses, holes or not: every voxel that it passes while it is contracted."},
+        {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Output", .help = "Write a closed surface of the mesh, its holes filled, as PLY."},
+        {.name = "solid-divide", .kind = CLI_U64, .value = &o.solid_divide, .min = 1, .max = 64, .argument = "N", .group = "Output",
+         .help = "Voxels of --solid and --reconstruct along an edge of omega."},
         {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "WHAT", .no_default = true, .group = "Not available", .help = "Other feature sizes for some bones."},
     };
     cli_tool tool = {
@@ -423,8 +466,8 @@ int main(int argc, char **argv)
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
     if (!o.has_omega) return cli_usage(&c, "--omega is needed");
     if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
-    const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound};
-    for (int i = 0; i < 5; i++)
+    const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct};
+    for (int i = 0; i < (int)(sizeof files / sizeof *files); i++)
         for (int k = 0; k < i; k++)
             if (files[i] != NULL && files[k] != NULL && strcmp(files[i], files[k]) == 0) return cli_usage(&c, "two outputs name the same file, %s", files[i]);
     svo_error err = {0};

@@ -222,6 +222,59 @@ def test_voxels(folder):
     check((folder / "t.skel").read_bytes().split(b"META")[0] == (folder / "u.skel").read_bytes().split(b"META")[0], "stdin differs")
 
 
+def test_solid_and_reconstruction(folder):
+    tube_obj(folder / "tube.obj")
+    lines = (folder / "tube.obj").read_text().split("\n")
+    faces = [i for i, x in enumerate(lines) if x.startswith("f")]
+    for row in range(20, 35):  # a hole
+        for i in faces[16 * row : 16 * row + 6]:
+            lines[i] = ""
+    (folder / "open.obj").write_text("\n".join(lines))
+    run("svo-skeleton", folder / "open.obj", "-o", folder / "t.skel", "--omega", 0.04, "--solid", folder / "t.svo", "--reconstruct", folder / "t.ply", "--report", folder / "r.json")
+    r = json.loads((folder / "r.json").read_text())
+    solid, closed = r["output"]["solid"], r["output"]["reconstruction"]
+    run("svo-dump", "--validate", folder / "t.svo")
+    dump = json.loads(run("svo-dump", "--json", folder / "t.svo").out)
+    check(dump["voxels"] == solid["voxels"] and dump["depth"] == solid["depth"], (dump["voxels"], solid))
+    volume, exact = solid["voxels"] * solid["voxel_size"] ** 3, 4 * math.pi * 0.25**2
+    check(exact < volume < 2 * exact, (volume, exact))  # with all voxels that the surface touches
+    check(closed["vertices_invented"] > 0, closed)
+    # what was written is closed, and importers read it
+    data = (folder / "t.ply").read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    vertices = int(head.split(b"element vertex ")[1].split()[0])
+    triangles = int(head.split(b"element face ")[1].split()[0])
+    check(vertices == closed["vertices"] and triangles == closed["triangles"] and len(body) == 25 * vertices + 13 * triangles, head)
+    edges = set()
+    for t in range(triangles):
+        n, a, b, c = struct.unpack_from("<B3I", body, 25 * vertices + 13 * t)
+        check(n == 3, n)
+        for e in ((a, b), (b, c), (c, a)):
+            check(e not in edges, e)
+            edges.add(e)
+    check(all((b, a) in edges for a, b in edges), "an edge has one side")
+    run("svo-voxelize", folder / "t.ply", "-o", folder / "v.svo", "--depth", 5)
+    run("svo-voxelize", folder / "tube.obj", "-o", folder / "m.svo", "--depth", 5)
+    r = tool("svo-skeleton", folder / "m.svo", "-o", folder / "m.skel", "--omega", 0.1, "--reconstruct", folder / "m.ply")
+    check(r.code == 5 and "--reconstruct" in r.err and not (folder / "m.ply").exists() and not (folder / "m.skel").exists(), r)
+
+
+def test_quality_in_the_report(folder):
+    tube_obj(folder / "tube.obj")
+    run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "--omega", 0.04, "--obj", folder / "t.obj", "--report", folder / "r.json")
+    r = json.loads((folder / "r.json").read_text())
+    points, bones = curve(folder / "t.obj")
+    e = r["errors"]
+    check(r["input"]["genus"] == 0 and r["output"]["loops"] == 0, r["input"])
+    check(e["joints_inside_percent"] == 100 and e["length_inside_percent"] == 100 and e["outside_max"] == 0, e)
+    off = max(math.hypot(p[1], p[2]) / 0.25 for p in points)
+    check(e["off_centre_median"] <= off * 1.1 + 0.02, (e, off))
+    # the surface of the tube against balls of the tube's radius around the curve, which ends before the caps
+    low, high, diagonal = min(p[0] for p in points), max(p[0] for p in points), math.sqrt(16 + 0.25 + 0.25)
+    corner = max(math.hypot(max(x, 0.25), 0.25) - 0.25 for x in (low, 4 - high))  # the ball that is nearest to the rim
+    check(abs(e["inscribed_balls_max"] - 100 * corner / diagonal) < 1, (e["inscribed_balls_max"], 100 * corner / diagonal))
+
+
 def test_exit_codes(folder):
     tube_obj(folder / "tube.obj")
     out = folder / "x.skel"
@@ -249,9 +302,10 @@ def test_exit_codes(folder):
     expect(3, folder / "empty.obj", "-o", out, "--omega", 0.03)
     (folder / "bad.svo").write_bytes(b"\x89SVX\r\n\x1a\n" + bytes(300))
     expect(3, folder / "bad.svo", "-o", out, "--omega", 0.03)
-    for option in ("--solid", "--reconstruct", "--refine"):
-        r = expect(5, folder / "tube.obj", "-o", out, "--omega", 0.03, option, folder / "y")
-        check(option in r.err, r)
+    r = expect(5, folder / "tube.obj", "-o", out, "--omega", 0.03, "--refine", folder / "y")
+    check("--refine" in r.err, r)
+    expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--solid", out)
+    expect(6, folder / "tube.obj", "-o", out, "--omega", 0.001, "--max-vertices", 4000000, "--solid", folder / "y", "--solid-divide", 64)
     r = expect(6, folder / "tube.obj", "-o", out, "--omega", 0.0002, "--max-vertices", 10000)
     check("larger omega" in r.err, r)
     expect(6, folder / "tube.obj", "-o", out, "--omega", 0.01, "--memory", "100K")

@@ -328,6 +328,30 @@ TEST(not_finite_and_unreferenced)
     shape_free(&clean);
 }
 
+/* Vertices without a triangle, more than those with one, before and between them. */
+TEST(many_unreferenced_vertices)
+{
+    shape m = shape_tube(4, 0.25, 40, 12), n = {0};
+    for (uint64_t i = 0; i < m.points; i++) {
+        shape_point(&n, 9 - (double)(i % 7), (double)(i % 11), 3);
+        shape_point(&n, m.p[3 * i], m.p[3 * i + 1], m.p[3 * i + 2]);
+        shape_point(&n, 0.1 * (double)(i % 5), 0, 0);
+    }
+    for (uint64_t t = 0; t < m.triangles; t++) shape_triangle(&n, 3 * m.t[3 * t] + 1, 3 * m.t[3 * t + 1] + 1, 3 * m.t[3 * t + 2] + 1);
+    skel_options o = options(0.05);
+    skel_skeleton a, b;
+    CHECK_OK(shape_skeleton(&m, &o, &a, &err));
+    CHECK_OK(shape_skeleton(&n, &o, &b, &err));
+    check_sane(&b);
+    CHECK(same(&a, &b));
+    CHECK_U64(b.report.unreferenced, 2 * m.points);
+    for (uint64_t i = 0; i < m.points; i++) CHECK(b.map[3 * i + 1] == a.map[i] && b.map[3 * i] == SVO_NONE);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&m);
+    shape_free(&n);
+}
+
 TEST(nothing_to_contract)
 {
     shape m = {0};

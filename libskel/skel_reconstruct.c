@@ -1,0 +1,221 @@
+/* A closed surface from the solid. Voxel sides that look outwards are paired over their edges: where four meet, those of one voxel belong together, so that every edge
+ * has two sides and voxels that only touch stay apart; corners are told apart by the same pairing. So the result is closed and without singular edges, whatever the voxels
+ * are. Then it is smoothed, and what lies near the model's surface is moved onto it. */
+#include <math.h>
+#include <string.h>
+
+#include "skel_solid.h"
+#include "skeli_solid.h"
+#include "svo_morton.h"
+
+enum { SMOOTHING = 6, FAIRING = 12 };
+#define NEAR 1.6 /* voxels: the model's surface that far from a corner is what the corner stands for */
+
+/* Side s of a voxel looks along axis s / 2, down or up. Its corners, counter-clockwise from outside, and which edge is where: corner k to k + 1. */
+static const uint8_t side_corner[6][4][3] = {
+    {{0, 0, 0}, {0, 0, 1}, {0, 1, 1}, {0, 1, 0}}, {{1, 0, 0}, {1, 1, 0}, {1, 1, 1}, {1, 0, 1}}, {{0, 0, 0}, {1, 0, 0}, {1, 0, 1}, {0, 0, 1}},
+    {{0, 1, 0}, {0, 1, 1}, {1, 1, 1}, {1, 1, 0}}, {{0, 0, 0}, {0, 1, 0}, {1, 1, 0}, {1, 0, 0}}, {{0, 0, 1}, {1, 0, 1}, {1, 1, 1}, {0, 1, 1}},
+};
+
+typedef struct sides {
+    const skel_solid *solid;
+    uint64_t count;
+    uint64_t *voxel; /* index into codes */
+    uint8_t *side;
+    uint32_t *first; /* of each voxel: number of its first side; count + 1 */
+} sides;
+
+static uint64_t index_of(const skel_solid *s, const uint32_t at[3])
+{
+    const uint32_t side = 1u << s->depth;
+    if (at[0] >= side || at[1] >= side || at[2] >= side) return UINT64_MAX; /* -1 wraps */
+    uint64_t code = svo_morton_encode(at[0], at[1], at[2]), low = 0, high = s->count;
+    while (low < high) {
+        uint64_t middle = low + (high - low) / 2;
+        if (s->codes[middle] < code) low = middle + 1;
+        else high = middle;
+    }
+    return low < s->count && s->codes[low] == code ? low : UINT64_MAX;
+}
+
+static void step(const uint32_t from[3], int side, uint32_t to[3])
+{
+    for (int k = 0; k < 3; k++) to[k] = from[k];
+    to[side / 2] += side % 2 ? 1 : UINT32_MAX;
+}
+
+static svo_result find_sides(skeli_pool *pool, const skel_solid *solid, sides *s, svo_error *err)
+{
+    *s = (sides){.solid = solid};
+    s->first = skeli_take(pool, solid->count + 1, sizeof *s->first);
+    if (s->first == NULL) return skeli_no_memory(err);
+    for (int pass = 0; pass < 2; pass++) {
+        uint64_t n = 0;
+        for (uint64_t v = 0; v < solid->count; v++) {
+            uint32_t at[3], to[3];
+            svo_morton_decode(solid->codes[v], &at[0], &at[1], &at[2]);
+            s->first[v] = (uint32_t)n;
+            for (int side = 0; side < 6; side++) {
+                step(at, side, to);
+                if (index_of(solid, to) != UINT64_MAX) continue;
+                if (pass == 1) {
+                    s->voxel[n] = v;
+                    s->side[n] = (uint8_t)side;
+                }
+                n++;
+            }
+        }
+        if (n > UINT32_MAX / 8) return svo_fail(err, SVO_LIMIT, "the solid has too many outer sides (%llu)", (unsigned long long)n);
+        s->first[solid->count] = (uint32_t)n;
+        if (pass == 1) continue;
+        s->count = n;
+        s->voxel = skeli_take(pool, n, sizeof *s->voxel);
+        s->side = skeli_take(pool, n, 1);
+        if (s->voxel == NULL || s->side == NULL) return skeli_no_memory(err);
+    }
+    return SVO_OK;
+}
+
+static uint32_t number_of(const sides *s, uint64_t voxel, int side)
+{
+    for (uint32_t i = s->first[voxel]; i < s->first[voxel + 1]; i++)
+        if (s->side[i] == side) return i;
+    return SVO_NONE;
+}
+
+/* The side across edge `edge` (corner edge to edge + 1) of side i. Walking around the edge: the voxel's own other side, unless the neighbour there is solid, then the
+ * neighbour's side that goes on flat, unless the voxel diagonally in front is solid, then that one's side that looks back. */
+static uint32_t across(const sides *s, uint32_t i, int edge)
+{
+    int side = s->side[i], axis = side / 2;
+    const uint8_t *p = side_corner[side][edge], *q = side_corner[side][(edge + 1) % 4];
+    int turn = -1; /* the direction from the side's middle to the edge */
+    for (int k = 0; k < 3; k++)
+        if (k != axis && p[k] == q[k]) turn = 2 * k + p[k];
+    uint32_t at[3], beside[3], front[3];
+    svo_morton_decode(s->solid->codes[s->voxel[i]], &at[0], &at[1], &at[2]);
+    step(at, turn, beside);
+    step(beside, side, front);
+    uint64_t neighbour = index_of(s->solid, beside), diagonal = index_of(s->solid, front);
+    if (neighbour == UINT64_MAX) return number_of(s, s->voxel[i], turn); /* four sides around an edge: those of one voxel */
+    if (diagonal == UINT64_MAX) return number_of(s, neighbour, side);
+    return number_of(s, diagonal, turn ^ 1);
+}
+
+static svo_result number_corners(skeli_pool *pool, const sides *s, uint32_t *corner, uint64_t *count, svo_error *err)
+{
+    uint32_t *parent = skeli_take(pool, 4 * s->count, sizeof *parent);
+    if (parent == NULL) return skeli_no_memory(err);
+    for (uint32_t c = 0; c < 4 * s->count; c++) parent[c] = c;
+    for (uint32_t i = 0; i < s->count; i++) {
+        uint32_t at[3];
+        svo_morton_decode(s->solid->codes[s->voxel[i]], &at[0], &at[1], &at[2]);
+        for (int e = 0; e < 4; e++) {
+            uint32_t j = across(s, i, e), to[3];
+            SVO_ASSERT(j != SVO_NONE);
+            svo_morton_decode(s->solid->codes[s->voxel[j]], &to[0], &to[1], &to[2]);
+            for (int end = 0; end < 2; end++) {
+                const uint8_t *p = side_corner[s->side[i]][(e + end) % 4];
+                for (int k = 0; k < 4; k++) {
+                    const uint8_t *q = side_corner[s->side[j]][k];
+                    if (at[0] + p[0] != to[0] + q[0] || at[1] + p[1] != to[1] + q[1] || at[2] + p[2] != to[2] + q[2]) continue;
+                    uint32_t a = skeli_root(parent, 4 * i + (uint32_t)((e + end) % 4)), b = skeli_root(parent, 4 * j + (uint32_t)k);
+                    if (a != b) parent[a > b ? a : b] = a > b ? b : a;
+                }
+            }
+        }
+    }
+    *count = 0;
+    for (uint32_t c = 0; c < 4 * s->count; c++) corner[c] = skeli_root(parent, c) == c ? (uint32_t)(*count)++ : corner[skeli_root(parent, c)];
+    skeli_give(pool, parent);
+    return SVO_OK;
+}
+
+/* One round over the edges: every chosen vertex goes a part of the way to the mean of its neighbours. */
+static void relax(const uint32_t *corner, uint64_t quads, uint64_t vertices, double part, const uint8_t *only, double *position, double *sum)
+{
+    memset(sum, 0, 4 * vertices * sizeof *sum);
+    for (uint64_t i = 0; i < quads; i++)
+        for (int e = 0; e < 4; e++) { /* every edge is met from both sides, so once in each direction */
+            const uint64_t a = corner[4 * i + (uint64_t)e], b = corner[4 * i + (uint64_t)((e + 1) % 4)];
+            sum[4 * a] += 1;
+            for (int k = 0; k < 3; k++) sum[4 * a + 1 + (uint64_t)k] += position[3 * b + (uint64_t)k];
+        }
+    for (uint64_t v = 0; v < vertices; v++) {
+        if (only != NULL && !only[v]) continue;
+        for (uint64_t k = 0; k < 3; k++) position[3 * v + k] += part * (sum[4 * v + 1 + k] / sum[4 * v] - position[3 * v + k]);
+    }
+}
+
+static svo_result shape(skeli_pool *pool, const skeli_surface *surface, const sides *s, double edge, const uint32_t *corner, uint64_t vertices, double *position, skel_closed *out,
+                        svo_error *err)
+{
+    const double half = ldexp(1, (int)s->solid->depth - 1);
+    double *sum = skeli_take(pool, 4 * vertices, sizeof *sum);
+    if (sum == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < s->count; i++) {
+        uint32_t at[3];
+        svo_morton_decode(s->solid->codes[s->voxel[i]], &at[0], &at[1], &at[2]);
+        for (uint64_t k = 0; k < 4; k++)
+            for (uint64_t e = 0; e < 3; e++) position[3 * (uint64_t)corner[4 * i + k] + e] = (at[e] + (double)side_corner[s->side[i]][k][e] - half) * edge;
+    }
+    for (int i = 0; i < SMOOTHING; i++) relax(corner, s->count, vertices, 0.5, NULL, position, sum);
+    for (uint64_t v = 0; v < vertices; v++) {
+        double near[3], *p = position + 3 * v;
+        out->invented[v] = !(skeli_surface_distance(surface, p, NEAR * edge, near) < NEAR * edge);
+        out->invented_count += out->invented[v];
+        if (!out->invented[v]) memcpy(p, near, sizeof near);
+    }
+    for (int i = 0; i < FAIRING; i++) relax(corner, s->count, vertices, 0.5, out->invented, position, sum);
+    skeli_give(pool, sum);
+    return SVO_OK;
+}
+
+static svo_result build(skeli_pool *pool, const skeli_surface *surface, const skel_skeleton *k, skel_closed *out, svo_error *err)
+{
+    sides s;
+    SVO_TRY(find_sides(pool, &k->solid, &s, err));
+    uint32_t *corner = skeli_take(pool, 4 * s.count, sizeof *corner);
+    if (corner == NULL) return skeli_no_memory(err);
+    SVO_TRY(number_corners(pool, &s, corner, &out->vertex_count, err));
+    out->triangle_count = 2 * s.count;
+    out->position = svo_alloc(out->allocator, 3 * out->vertex_count, sizeof *out->position);
+    out->corner = svo_alloc(out->allocator, 3 * out->triangle_count, sizeof *out->corner);
+    out->invented = svo_alloc(out->allocator, out->vertex_count, 1);
+    if (out->position == NULL || out->corner == NULL || out->invented == NULL) return skeli_no_memory(err);
+    const skel_report *r = &k->report;
+    SVO_TRY(shape(pool, surface, &s, k->solid.voxel_to_world[0] / r->unit * SKEL_LATTICE, corner, out->vertex_count, out->position, out, err));
+    for (uint64_t i = 0; i < s.count; i++) {
+        const uint32_t *c = corner + 4 * i, two[6] = {c[0], c[1], c[2], c[0], c[2], c[3]};
+        memcpy(out->corner + 6 * i, two, sizeof two);
+    }
+    for (uint64_t i = 0; i < 3 * out->vertex_count; i++) out->position[i] = r->centre[i % 3] + r->unit * (out->position[i] / SKEL_LATTICE);
+    return SVO_OK;
+}
+
+svo_result skeli_reconstruct(const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles, const skel_skeleton *k, const svo_allocator *a, skel_closed *out,
+                             svo_error *err)
+{
+    if (k->solid.count == 0) return svo_fail(err, SVO_INVALID_ARGUMENT, "the skeleton was built without a solid");
+    skeli_pool pool = {.allocator = a};
+    skel_closed c = {.allocator = a};
+    skel_report r = {.normalize = k->report.normalize};
+    skeli_soup soup;
+    skeli_surface surface = {0};
+    uint32_t *remap = skeli_take(&pool, points, sizeof *remap);
+    svo_result result = remap == NULL ? skeli_no_memory(err) : skeli_soup_make(&pool, position, points, corner, triangles, &r, &soup, remap, err);
+    if (result == SVO_OK) result = skeli_surface_tree(&pool, &soup, &surface, err);
+    if (result == SVO_OK) result = build(&pool, &surface, k, &c, err);
+    skeli_pool_free(&pool);
+    if (result == SVO_OK) *out = c;
+    else skel_closed_free(&c);
+    return result;
+}
+
+void skel_closed_free(skel_closed *c)
+{
+    svo_free(c->allocator, c->position, 3 * c->vertex_count, sizeof *c->position);
+    svo_free(c->allocator, c->corner, 3 * c->triangle_count, sizeof *c->corner);
+    svo_free(c->allocator, c->invented, c->vertex_count, 1);
+    memset(c, 0, sizeof *c);
+}
