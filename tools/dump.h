@@ -41,6 +41,14 @@ svo_result dump_against_source(dump_job *j, const svo_view *v, const char *prove
 svo_result dump_scene(dump_job *j, svo_error *err);
 svo_result dump_skel(dump_job *j, svo_error *err);
 
+/* --- dump_validate.c --- */
+/* What is wrong with the file, after a run over it ended with `first` and *err (SVO_OK: an empty list): objects with id, message, chunk, offset. All damaged chunks, all
+ * subtrees of a .svo and all assets of a scene that break rules, and of every other part the first violation; at most 1000. New reference. */
+json_t *dump_violations(dump_job *j, svo_result first, const svo_error *err, uint64_t *suppressed);
+/* What can still be read of a damaged file, and where the damage is. New reference. */
+json_t *dump_partial(dump_job *j, svo_result first, const svo_error *err);
+const char *dump_kind_text(uint32_t kind);
+
 /* Write j->export.path. */
 svo_result dump_export_file(dump_job *j, svo_error *err);
 /* Write j->html: a page that draws the file. j->json is already filled, and shown on it. */
@@ -72,6 +80,8 @@ json_t *dump_reals(const double *v, size_t n);
 
 /* --- text (dump_text.c): prints j->json to stdout --- */
 void dump_print(const dump_job *j);
+/* One line of the table of many files; json NULL: its heading. */
+void dump_print_row(const json_t *json);
 
 /* --- point clouds (dump_ply.c) --- */
 /* A binary PLY of exactly `count` voxels: vx vy vz, world centre x y z, the channels, and `instance` if asked for. */

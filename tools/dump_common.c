@@ -21,9 +21,9 @@ static json_t *integers(const uint32_t *v, size_t n)
     return a;
 }
 
-static const char *kind_text(fmt_kind kind)
+const char *dump_kind_text(uint32_t kind)
 {
-    switch (kind) {
+    switch ((fmt_kind)kind) {
     case FMT_KIND_SVO: return "svo";
     case FMT_KIND_SVDAG: return "svdag";
     case FMT_KIND_SKEL: return "skel";
@@ -36,7 +36,7 @@ void dump_container(dump_job *j, const fmt_container *c)
 {
     char hex[33];
     cli_put_text(j->json, "file", strcmp(j->path, "-") == 0 ? "stdin" : j->path);
-    cli_put_text(j->json, "format", kind_text(c->kind));
+    cli_put_text(j->json, "format", dump_kind_text(c->kind));
     json_object_set_new(j->json, "version", json_sprintf("%u.%u", c->major, c->minor));
     cli_put_u64(j->json, "bytes", c->size);
     fmt_hash_text(c->content_hash, hex);

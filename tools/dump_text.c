@@ -144,3 +144,28 @@ void dump_print(const dump_job *j)
         }
     }
 }
+
+void dump_print_row(const json_t *json)
+{
+    if (json == NULL) {
+        printf("%-8s %5s %14s %14s %12s %9s  %-30s %s\n", "format", "depth", "voxels", "nodes", "bytes", "B/voxel", "attributes", "file");
+        return;
+    }
+    const json_t *list = json_object_get(json, "attributes"), *a;
+    char attributes[200] = "";
+    size_t i, n = 0;
+    json_array_foreach(list, i, a) {
+        const char *name = json_string_value(json_object_get(a, "name"));
+        if (name != NULL && n < sizeof attributes) n += (size_t)snprintf(attributes + n, sizeof attributes - n, "%s%s", i > 0 ? "," : "", name);
+    }
+    bool damaged = json_is_true(json_object_get(json, "damaged")), octree = json_is_integer(json_object_get(json, "depth"));
+    printf("%-8s ", json_string_value(json_object_get(json, "format")));
+    if (octree) printf("%5" PRIu64 " ", count_of(json, "depth"));
+    else printf("%5s ", "");
+    if (octree && !damaged) printf("%14" PRIu64 " %14" PRIu64 " ", count_of(json, "voxels"), count_of(json, "nodes"));
+    else printf("%14s %14s ", damaged ? "damaged" : "", "");
+    printf("%12" PRIu64 " ", count_of(json, "bytes"));
+    if (json_is_number(json_object_get(json, "bytes_per_voxel"))) printf("%9.3f  ", json_number_value(json_object_get(json, "bytes_per_voxel")));
+    else printf("%9s  ", "");
+    printf("%-30s %s\n", attributes, json_string_value(json_object_get(json, "file")));
+}

@@ -25,7 +25,8 @@ static svo_result dump_bytes(dump_job *j, svo_error *err)
     return j->html != NULL ? dump_html(j, err) : SVO_OK;
 }
 
-static svo_result dump_file(dump_job *j, svo_error *err)
+/* Read one file. *messages (NULL: not wanted) receives what is wrong with it, j->json of a damaged one what is left where that is asked for. */
+static svo_result dump_file(dump_job *j, bool partial, json_t **messages, uint64_t *suppressed, svo_error *err)
 {
     fmt_bytes b;
     svo_result r = fmt_bytes_open_spooled(j->path, &b, err);
@@ -33,6 +34,11 @@ static svo_result dump_file(dump_job *j, svo_error *err)
     j->data = b.data;
     j->size = b.size;
     r = dump_bytes(j, err);
+    if (messages != NULL) *messages = dump_violations(j, r, err, suppressed);
+    if (partial && r == SVO_INVALID_DATA) {
+        json_decref(j->json);
+        j->json = dump_partial(j, r, err);
+    }
     fmt_bytes_close(&b);
     if (r == SVO_OK || r == SVO_IO || r == SVO_LIMIT) return r; /* the last two are about the output, which the message names */
     svo_error inner = err != NULL ? *err : (svo_error){0};
@@ -45,44 +51,32 @@ static svo_result dump_file(dump_job *j, svo_error *err)
     return r;
 }
 
-/* "SVO-05" of "... (SVO-05)"; empty when the message ends otherwise. */
-static void rule_of(const char *message, char out[16])
-{
-    size_t n = strlen(message);
-    const char *open = strrchr(message, '(');
-    out[0] = 0;
-    if (open == NULL || n == 0 || message[n - 1] != ')' || (size_t)(message + n - 1 - (open + 1)) >= 16) return;
-    if (strchr(open, '-') == NULL || strchr(open, ' ') != NULL) return;
-    size_t length = (size_t)(message + n - 1 - (open + 1));
-    memcpy(out, open + 1, length);
-    out[length] = 0;
-}
-
 /* The verdict of --validate as JSON. */
-static json_t *verdict(const dump_job *j, svo_result r, const svo_error *err)
+static json_t *verdict(const dump_job *j, svo_result r, json_t *messages, uint64_t suppressed)
 {
-    json_t *o = json_object(), *messages = json_array();
+    json_t *o = json_object();
     cli_put_text(o, "file", strcmp(j->path, "-") == 0 ? "stdin" : j->path);
     json_object_set_new(o, "valid", json_boolean(r == SVO_OK));
-    if (r != SVO_OK) {
-        char rule[16], chunk[5];
-        json_t *m = json_object();
-        rule_of(err->message, rule);
-        cli_put_text(m, "id", rule[0] != 0 ? rule : svo_result_name(r));
-        cli_put_text(m, "type", "error");
-        cli_put_text(m, "message", err->message);
-        fmt_fourcc_text(err->chunk, chunk);
-        if (err->chunk != 0) cli_put_text(m, "chunk", chunk);
-        cli_put_u64(m, "offset", err->offset);
-        json_array_append_new(messages, m);
-    }
-    json_object_set_new(o, "messages", messages);
+    json_object_set(o, "messages", messages);
+    if (suppressed != 0) cli_put_u64(o, "suppressed", suppressed);
     json_t *source = json_object_get(j->json, "source");
-    if (source != NULL) json_object_set(o, "source", source);
+    if (json_is_object(source)) json_object_set(o, "source", source); /* a skeleton's is a text */
     return o;
 }
 
-typedef struct dump_options { bool json, validate, quick; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
+/* Messages but the one that is the run's error, on stderr. */
+static void print_messages(const dump_job *j, const json_t *messages, uint64_t suppressed, const char *known)
+{
+    const json_t *m;
+    size_t i;
+    json_array_foreach(messages, i, m) {
+        const char *text = json_string_value(json_object_get(m, "message"));
+        if (strstr(known, text) == NULL) fprintf(stderr, "%s: error: %.100s: %s\n", j->c->tool->name, strcmp(j->path, "-") == 0 ? "stdin" : j->path, text);
+    }
+    if (suppressed != 0) fprintf(stderr, "%s: error: %.100s: %llu more\n", j->c->tool->name, j->path, (unsigned long long)suppressed);
+}
+
+typedef struct dump_options { bool json, validate, quick, partial, table; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
 
 /* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
 static svo_result run(cli *c, const dump_options *o, svo_error *err)
@@ -93,6 +87,7 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
     svo_result first = SVO_OK;
     bool text = !o->json && (o->voxels == NULL || strcmp(o->voxels, "-") != 0) && (o->html == NULL || strcmp(o->html, "-") != 0);
     cli_phase(c, o->validate ? "validate" : "dump");
+    if (o->table) dump_print_row(NULL);
     for (int i = 0; i < c->input_count; i++) {
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
@@ -100,19 +95,25 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
                       .export = o->export, .json = json_object()};
         j.export.rgba = o->volume == 1;
         j.export.limit = o->limit;
-        svo_result r = dump_file(&j, &e);
+        json_t *messages = NULL;
+        uint64_t suppressed = 0;
+        svo_result r = dump_file(&j, o->partial, o->validate ? &messages : NULL, &suppressed, &e);
+        bool left = o->partial && r == SVO_INVALID_DATA; /* j.json tells what can be read */
+        if (o->validate && !o->json && r != SVO_OK) print_messages(&j, messages, suppressed, e.message);
         if (r != SVO_OK) {
             if (first == SVO_OK) first = r, *err = e;
             else fprintf(stderr, "%s: error: %s\n", c->tool->name, e.message);
         }
-        if (o->validate && o->json) json_array_append_new(all, verdict(&j, r, &e));
-        else if (r == SVO_OK && o->json) json_array_append(all, j.json);
+        if (o->validate && o->json) json_array_append_new(all, verdict(&j, r, messages, suppressed));
+        else if ((r == SVO_OK || left) && o->json) json_array_append(all, j.json);
         else if (r == SVO_OK && o->validate) printf("%s: valid\n", strcmp(j.path, "-") == 0 ? "stdin" : j.path);
-        else if (r == SVO_OK && text) dump_print(&j);
+        else if ((r == SVO_OK || left) && o->table) dump_print_row(j.json);
+        else if ((r == SVO_OK || left) && text) dump_print(&j);
         if (r == SVO_OK) json_object_set(cli_section(c, "input"), strcmp(j.path, "-") == 0 ? "stdin" : j.path, j.json);
+        json_decref(messages);
         json_decref(j.json);
     }
-    if (o->json && (first == SVO_OK || o->validate)) {
+    if (o->json && (first == SVO_OK || o->validate || (o->partial && json_array_size(all) != 0))) {
         json_t *what = c->input_count == 1 ? json_array_get(all, 0) : all;
         json_dumpf(what, stdout, JSON_INDENT(1) | JSON_PRESERVE_ORDER | JSON_REAL_PRECISION(17));
         putchar('\n');
@@ -128,7 +129,9 @@ int main(int argc, char **argv)
     dump_options o = {.limit = (uint64_t)1 << 31, .html_size = (uint64_t)16 << 20};
     cli_option options[] = {
         {.name = "json", .kind = CLI_FLAG, .value = &o.json, .help = "Print JSON: an object, or an array for several files."},
-        {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary."},
+        {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary: everything that is wrong, with the rule's id."},
+        {.name = "partial", .kind = CLI_FLAG, .value = &o.partial, .help = "Of a damaged file, print what can be read and where the damage is (exit code 3 all the same)."},
+        {.name = "table", .kind = CLI_FLAG, .value = &o.table, .help = "Print one line a file."},
         {.name = "source", .kind = CLI_TEXT, .value = &o.source, .argument = "SRC.svo", .no_default = true,
          .help = "With --validate of a .svdag: hold it against the octree it was made from: voxels, attributes and the error bounds it promises."},
         {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
@@ -167,6 +170,8 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     if (o.voxels != NULL && c.input_count != 1) return cli_usage(&c, "--voxels takes one FILE");
     if (o.voxels != NULL && o.validate) return cli_usage(&c, "--voxels and --validate exclude each other (--voxels validates as well)");
+    if (o.table && (o.json || o.validate)) return cli_usage(&c, "--table excludes --json and --validate");
+    if (o.partial && o.validate) return cli_usage(&c, "--partial and --validate exclude each other (--validate names every damage)");
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
