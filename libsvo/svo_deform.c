@@ -241,6 +241,33 @@ void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], con
     }
 }
 
+void svo_deform_box_set(const svo_deform *d, uint64_t set, const double low[3], const double high[3], double out_low[3], double out_high[3])
+{
+    box all = empty_box;
+    double l[3], h[3];
+    bool rest = (set >> 63) != 0 || set == 0;
+    for (uint64_t m = set & ~((uint64_t)1 << 63); m != 0; m &= m - 1) {
+        uint32_t first = (uint32_t)__builtin_ctzll(m);
+        rest = rest || first >= d->bone_count;
+        for (uint32_t bone = first; bone < d->bone_count; bone += 63) { /* labels that share a bit */
+            svo_deform_box(d, bone, low, high, l, h);
+            for (int k = 0; k < 3; k++) {
+                if (!(l[k] >= all.low[k])) all.low[k] = l[k];
+                if (!(h[k] <= all.high[k])) all.high[k] = h[k];
+            }
+        }
+    }
+    if (rest) {
+        svo_deform_box(d, SVO_NO_BONE, low, high, l, h);
+        for (int k = 0; k < 3; k++) {
+            if (!(l[k] >= all.low[k])) all.low[k] = l[k];
+            if (!(h[k] <= all.high[k])) all.high[k] = h[k];
+        }
+    }
+    memcpy(out_low, all.low, sizeof all.low);
+    memcpy(out_high, all.high, sizeof all.high);
+}
+
 svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n)
 {
     svo_mat4 in = inner(d, bone);

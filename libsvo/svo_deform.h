@@ -45,6 +45,8 @@ svo_deform svo_deform_make(const svo_poses *poses, const svo_pose *pose, const s
  * one; it means nothing to a pose without bones. A box that overflows has bounds that are not finite. */
 svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p);
 void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3]);
+/* The same for a set of bones (svo_bones.h): bounds of the images under each. */
+void svo_deform_box_set(const svo_deform *d, uint64_t set, const double low[3], const double high[3], double out_low[3], double out_high[3]);
 /* `edge`: of the voxel at p, grid units. Zero where the map is flat there. n in mesh coordinates. */
 svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n);
 

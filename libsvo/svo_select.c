@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "svo_bones.h"
 #include "svo_task.h"
 #include "svoi_select.h"
 
@@ -40,6 +41,7 @@ typedef struct selecting {
     svoi_look look;
     svoi_depth depth;    /* with occlusion */
     uint32_t *normal_channel; /* of each asset */
+    svo_bones **bones;        /* of each asset that an instance moves by its bones, else NULL */
     bool by_pages;
     const job *jobs;
     span *spans;
@@ -157,8 +159,14 @@ static bool take(const selecting *s, const svo_deform *d, const svo_view *v, uin
         float f[3];
         svo_view_attribute(v, channel, n->node.attribute, value);
         svo_oct32_decode(value, f);
+        uint32_t bone = SVO_NO_BONE, labels = (d->flags & SVO_POSE_BONES) != 0 ? svo_view_find_channel(v, "bone") : SVO_MAX_CHANNELS;
+        if (labels < v->channel_count) { /* of a coarse node: that of most of its voxels */
+            uint8_t label[SVO_MAX_STRIDE] = {0};
+            svo_view_attribute(v, labels, n->node.attribute, label);
+            memcpy(&bone, label, sizeof bone);
+        }
         svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};
-        normal = svo_deform_normal(d, SVO_NO_BONE, middle, edge, svo_v3(f[0], f[1], f[2]));
+        normal = svo_deform_normal(d, bone, middle, edge, svo_v3(f[0], f[1], f[2]));
     }
     if (svo_dot(normal, normal) == 0) normal = svo_normalize(svo_v3(-0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -0.5 * (low[2] + high[2])));
     float f[3] = {(float)normal.x, (float)normal.y, (float)normal.z};
@@ -172,11 +180,12 @@ static bool take(const selecting *s, const svo_deform *d, const svo_view *v, uin
 typedef enum fate { OUTSIDE, BEHIND, TAKE, DESCEND, OVERFLOW } fate;
 
 /* Deform a node and say what is to be done with it. */
-static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, const visit *n, double edge, double low[3], double high[3])
+static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, const svo_bones *bones, const visit *n, double edge, double low[3], double high[3])
 {
     double from[3], to[3], size;
     for (int k = 0; k < 3; k++) from[k] = n->cell[k] * edge, to[k] = from[k] + edge;
-    svo_deform_box(d, SVO_NO_BONE, from, to, low, high);
+    if (bones != NULL) svo_deform_box_set(d, svo_bones_set(bones, n->level, n->cell), from, to, low, high);
+    else svo_deform_box(d, SVO_NO_BONE, from, to, low, high);
     for (int k = 0; k < 3; k++)
         if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return OVERFLOW;
     sight seen = project(s, low, high, &size);
@@ -196,6 +205,12 @@ static svo_deform deform_of(const selecting *s, const job *j)
     return svo_deform_make(&scene->poses, svo_scene_instance_pose(scene, j->instance), &grid, &place);
 }
 
+/* Of an instance whose pose has bones; NULL otherwise. */
+static const svo_bones *bones_of(const selecting *s, const svo_deform *d, uint64_t instance)
+{
+    return (d->flags & SVO_POSE_BONES) != 0 ? s->bones[s->scene->instance_asset[instance]] : NULL;
+}
+
 static svo_result run_job(const selecting *s, const job *j, output *out, svo_error *err)
 {
     const svo_scene *scene = s->scene;
@@ -209,7 +224,7 @@ static svo_result run_job(const selecting *s, const job *j, output *out, svo_err
         visit n = stack[--top];
         double low[3], high[3], edge = ldexp(1, (int)(v->depth - n.level));
         out->report.visited++;
-        switch (judge(s, &d, v, &n, edge, low, high)) {
+        switch (judge(s, &d, v, bones_of(s, &d, j->instance), &n, edge, low, high)) {
         case OVERFLOW:
             out->boxes.size = (size_t)first;
             out->report.overflowed++;
@@ -331,7 +346,7 @@ static svo_result split_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
             svo_deform d = deform_of(s, j);
             double low[3], high[3];
             if (j->top.level != round || j->top.level + 6u > v->depth ||
-                judge(s, &d, v, &j->top, ldexp(1, (int)(v->depth - j->top.level)), low, high) != DESCEND) {
+                judge(s, &d, v, bones_of(s, &d, j->instance), &j->top, ldexp(1, (int)(v->depth - j->top.level)), low, high) != DESCEND) {
                 ok = svo_buffer_append(&more, j, sizeof *j) != NULL;
                 continue;
             }
@@ -419,7 +434,7 @@ static svo_result cut(const selecting *s, const job *whole, svo_buffer *to, svo_
     while (top != 0) {
         job part = {stack[--top], whole->page, whole->instance};
         double low[3], high[3], size = 0;
-        fate f = judge(s, &d, v, &part.top, ldexp(1, (int)(v->depth - part.top.level)), low, high);
+        fate f = judge(s, &d, v, bones_of(s, &d, whole->instance), &part.top, ldexp(1, (int)(v->depth - part.top.level)), low, high);
         if (f == OUTSIDE || f == BEHIND) continue;
         if (f == DESCEND) {
             svoi_rect r = svoi_project(&s->look, low, high);
@@ -513,6 +528,21 @@ static svo_result gather(selecting *s, uint64_t jobs, svo_selection *out, svo_er
     return SVO_OK;
 }
 
+/* Bone sets of the assets that need them. */
+static svo_result make_bones(selecting *s, svo_error *err)
+{
+    const svo_scene *scene = s->scene;
+    s->bones = svo_calloc(s->o->allocator, scene->asset_count, sizeof *s->bones);
+    if (s->bones == NULL && scene->asset_count != 0) return no_memory(err);
+    for (uint64_t i = 0; i < scene->instance_count; i++) {
+        const svo_pose *p = svo_scene_instance_pose(scene, i);
+        uint32_t a = scene->instance_asset[i];
+        if (p != NULL && (p->flags & SVO_POSE_BONES) != 0 && s->bones[a] == NULL)
+            SVO_TRY(svo_bones_make(scene->assets[a], s->o->threads, s->o->allocator, &s->bones[a], err));
+    }
+    return SVO_OK;
+}
+
 svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_selection *out, svo_error *err)
 {
     SVO_ASSERT(o->width > 0 && o->height > 0 && o->delta > 0);
@@ -537,6 +567,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
         s.normal_channel[a] = c < scene->assets[a]->channel_count && scene->assets[a]->channels[c].channel.kind == SVO_KIND_NORMAL_OCT32 ? c : SVO_MAX_CHANNELS;
     }
     if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
+    if (result == SVO_OK) result = make_bones(&s, err);
     if (result == SVO_OK) result = list_jobs(&s, &jobs, &out->report, err);
     if (result == SVO_OK && !o->occlusion) result = split_jobs(&s, &jobs, err);
     if (result == SVO_OK && o->occlusion) result = run_by_depth(&s, &jobs, &spans, threads, &out->report, err);
@@ -551,6 +582,8 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     }
     svo_buffer_free(&spans);
     svo_free(o->allocator, s.outputs, threads, sizeof *s.outputs);
+    for (uint32_t a = 0; a < scene->asset_count && s.bones != NULL; a++) svo_bones_free(s.bones[a]);
+    svo_free(o->allocator, s.bones, scene->asset_count, sizeof *s.bones);
     svo_free(o->allocator, s.normal_channel, scene->asset_count, sizeof *s.normal_channel);
     svo_buffer_free(&jobs);
     svoi_depth_free(&s.depth);

@@ -416,6 +416,73 @@ TEST(selection_stops_where_voxels_are_small)
     world_free(&w);
 }
 
+/* ---- bones -------------------------------------------------------------------------------------------------------------- */
+
+static uint16_t label_of(uint32_t x, uint32_t y) { return y < 14 ? 0 : x < 16 ? 1 : y > 26 ? 0xffff : 2; }
+
+static void bone_value(void *user, uint32_t channel, uint32_t x, uint32_t y, uint32_t z, uint8_t *out)
+{
+    (void)user, (void)channel, (void)z;
+    uint16_t label = label_of(x, y);
+    memcpy(out, &label, 2);
+}
+
+/* Voxels that touch still touch where bones tear them apart: each box holds the image of every corner that it shares with a neighbour, under the neighbour's
+ * bone too. And the filled cells hold every voxel's image under its own bone. */
+TEST(no_gap_between_bones)
+{
+    svo_error err = {0};
+    uint64_t *codes, count, seed = 4;
+    packer_free(sphere(&codes, &count));
+    packer_options po = {.lod = true, .channel_count = 1, .value = bone_value};
+    strcpy(po.channels[0].name, "bone");
+    po.channels[0].kind = SVO_KIND_ID16;
+    svo_view *view = packer_make(DEPTH, codes, count, &po);
+    svo_mat4 bones[3] = {svo_mat4_trs((double[3]){0, 0, 0}, (double[4]){0, 0, 0, 1}, (double[3]){1, 1, 1}),
+                         svo_mat4_trs((double[3]){-9, 4, 2}, (double[4]){0, 0.3, 0.2, 1}, (double[3]){1, 1, 1}),
+                         svo_mat4_trs((double[3]){7, 9, -3}, (double[4]){0.3, 0, 0, 1}, (double[3]){1.5, 1, 1})};
+    float matrices[36];
+    for (int b = 0; b < 3; b++)
+        for (int i = 0; i < 12; i++) matrices[12 * b + i] = (float)bones[b].m[i];
+    svo_pose pose = {.flags = SVO_POSE_BONES, .bone_count = 3};
+    svo_scene_one one;
+    CHECK_OK(svo_scene_single(view, "", NULL, &one, &err));
+    uint32_t number = 0;
+    svo_scene scene = one.scene;
+    scene.instance_pose = &number;
+    scene.poses = (svo_poses){.count = 1, .pose = &pose, .matrix_count = 3, .matrix = matrices};
+    CHECK(svo_pose_fault(&scene.poses, &pose) == NULL);
+    for (int k = 0; k < 3; k++) one.page.low[k] = -100, one.page.high[k] = 100;
+    svo_mat4 id = svo_mat4_identity();
+    svo_deform d = svo_deform_make(&scene.poses, &pose, &id, &id);
+    for (int m = 0; m < 2; m++) {
+        svo_unpose_options o = {looking(true), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+        svo_unposed *u;
+        CHECK_OK(svo_unpose(&scene, &o, &u, NULL, &err));
+        const svo_view *v = svo_unposed_view(u);
+        CHECK_OK(svo_view_validate(v, NULL, &err));
+        for (int i = 0; i < 20000; i++) {
+            uint32_t c[3], at[3];
+            svo_morton_decode(codes[test_random(&seed) % count], &c[0], &c[1], &c[2]);
+            uint32_t bone = label_of(c[0], c[1]) == 0xffff ? SVO_NO_BONE : label_of(c[0], c[1]);
+            svo_vec3 p = {c[0] + test_random_unit(&seed), c[1] + test_random_unit(&seed), c[2] + test_random_unit(&seed)};
+            CHECK(filled(v, svo_deform_point(&d, bone, p)));
+            for (int k = 0; k < 3; k++) at[k] = c[k] + (uint32_t)(test_random(&seed) % 3) - 1;
+            if (at[0] >= SIDE || at[1] >= SIDE || at[2] >= SIDE || !svo_view_voxel(view, at[0], at[1], at[2], NULL)) continue;
+            /* a shared point under one bone and the other: what is between is filled, so that no ray passes there */
+            uint32_t other = label_of(at[0], at[1]) == 0xffff ? SVO_NO_BONE : label_of(at[0], at[1]);
+            double s[3];
+            for (int k = 0; k < 3; k++) s[k] = at[k] > c[k] ? c[k] + 1 : at[k] < c[k] ? c[k] : c[k] + test_random_unit(&seed);
+            svo_vec3 a = svo_deform_point(&d, bone, svo_v3(s[0], s[1], s[2])), b = svo_deform_point(&d, other, svo_v3(s[0], s[1], s[2]));
+            double t = test_random_unit(&seed);
+            CHECK(filled(v, svo_add(svo_scale(a, 1 - t), svo_scale(b, t))));
+        }
+        svo_unposed_free(u);
+    }
+    packer_free(view);
+    free(codes);
+}
+
 /* A grid of posed spheres, many behind others. */
 typedef struct crowd {
     svo_view *view;
