@@ -13,7 +13,7 @@ extern "C" {
  *
  * RESIZE (3.3.6 to 3.3.9): cells half as wide as the smallest cell that is at least as wide as the box's longest side. The thesis sets two an axis around the
  * box's middle and says that they enclose it; they do not in 44 % of random boxes, as the box may be as long as both and not lie on their boundary. Here each
- * axis has the two or three that the box meets: 8 to 27 samples. (As printed, with a ceiling, they are never those that the box meets.)
+ * axis has the ones that the box meets, two or three along the longest, one to three along the others: 2 to 27 samples. (As printed, with a ceiling, they are never those that the box meets.)
  * EMIT (3.3.10 to 3.3.12): cells at least as wide as the box's shortest side, all that the box meets, with floors at both ends (the printed ceiling
  * leaves out the first). The number grows with the box's length; so a cell is also no smaller than a 2^-16th of the number of cells allowed (`most_cells`).
  * In both, cells are not finer than the octree's finest level, which is at most 21 below a cube around everything selected. */
