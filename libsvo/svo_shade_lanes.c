@@ -63,12 +63,16 @@ static void find_barycentric(const svo_facet *t, svoi_lanes *l)
         }
         return;
     }
-    const double ox = t->corner[0][x], oy = t->corner[0][y], x1 = t->per_x[0], y1 = t->per_y[0], x2 = t->per_x[1], y2 = t->per_y[1];
+    /* in single precision from a point in the block on, near the triangle: the same for all batches */
+    const float fx = (float)fmin(fmax(t->corner[0][x], 0), 128), fy = (float)fmin(fmax(t->corner[0][y], 0), 128);
+    const double ex = (double)fx - t->corner[0][x], ey = (double)fy - t->corner[0][y];
+    const float x1 = (float)t->per_x[0], y1 = (float)t->per_y[0], x2 = (float)t->per_x[1], y2 = (float)t->per_y[1];
+    const float at1 = (float)(ex * t->per_x[0] + ey * t->per_y[0]), at2 = (float)(ex * t->per_x[1] + ey * t->per_y[1]);
     for (uint32_t i = 0; i < n; i++) {
-        double px = (double)l->clip.cx[i] - ox, py = (double)l->clip.cy[i] - oy, b1 = px * x1 + py * y1, b2 = px * x2 + py * y2;
-        l->b[0][i] = (float)(1 - b1 - b2);
-        l->b[1][i] = (float)b1;
-        l->b[2][i] = (float)b2;
+        const float dx = l->clip.cx[i] - fx, dy = l->clip.cy[i] - fy, b1 = at1 + (dx * x1 + dy * y1), b2 = at2 + (dx * x2 + dy * y2);
+        l->b[0][i] = 1 - b1 - b2;
+        l->b[1][i] = b1;
+        l->b[2][i] = b2;
     }
     /* centroids are inside but for rounding, which is much on needles */
     for (uint32_t i = 0; i < n; i++) {
@@ -150,9 +154,8 @@ static bool magnified(const svo_facet_texture *f)
     return (u * u + v * v) * (1.0 / 12) < 0.03;
 }
 
-static bool in_range(const svo_facet *t, const svo_facet_texture *f)
+static bool in_range(const svo_facet_texture *f)
 {
-    (void)t;
     for (int k = 0; k < 3; k++)
         if (!(fabs(f->corner[k][0]) < 1e9 && fabs(f->corner[k][1]) < 1e9)) return false;
     return true;
@@ -162,14 +165,23 @@ static bool in_range(const svo_facet *t, const svo_facet_texture *f)
 static void read_lanes(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, bool weighted, svoi_lanes *l, float (*out)[SVOI_LANES])
 {
     const svo_facet_texture *f = svoi_facet_texture(t, slot, how, p);
-    if (p->kind == SVO_TEXEL_COLOR && !how->nearest && magnified(f) && in_range(t, f)) {
+    if (p->kind == SVO_TEXEL_COLOR && !how->nearest && magnified(f) && in_range(f)) {
         find_texels(t, f, l);
         read_finest(p, how, l, out);
         for (uint32_t i = 0; i < l->count; i++) out[3][i] = 1;
         return;
     }
+    const bool batch = !how->nearest && in_range(f);
+    if (batch) {
+        find_texels(t, f, l);
+        svoi_read_footprints(f, how, p, l, out);
+    }
     const uint32_t x = (t->axis + 1) % 3, y = (t->axis + 2) % 3;
     for (uint32_t i = 0; i < l->count; i++) {
+        if (batch && (!weighted || out[3][i] > 0)) {
+            for (int k = 0; weighted && k < 3; k++) out[k][i] /= out[3][i];
+            continue;
+        }
         svo_piece piece = {.xx = (double)l->clip.xx[i], .xy = (double)l->clip.xy[i], .yy = (double)l->clip.yy[i]};
         float texel[4];
         piece.centre[x] = (double)l->clip.cx[i];

@@ -5,6 +5,7 @@
 #define SVOI_LANES_H
 
 #include "svo_shade.h"
+#include "svo_texture.h"
 
 enum { SVOI_LANES = SVOI_CLIP_BATCH };
 
@@ -21,6 +22,8 @@ typedef struct svoi_lanes {
 
 /* Areas (when `areas`), centroids and, when the facet needs them, moments; then the values of every channel of the layout. */
 void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l);
+/* Averages of a texture over the pieces, at texel coordinates l->at; nearest-texel images and coordinates beyond 1e9 are not for it. */
+void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
 /* Areas alone. */
 void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l);
 /* Add to sums[target * layout->fields]: the values with their areas, or one contribution with the areas of all. */
