@@ -19,7 +19,7 @@ static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_O
 /* Room for the codes of a row's voxels; NULL where they are not remembered. */
 static uint32_t *record(svoi_scan *s)
 {
-    enum { MOST_IN_ROW = SVO_RASTER_SIZE * SVO_RASTER_SIZE };
+    enum { MOST_IN_ROW = SVO_RASTER_SIZE * SVO_RASTER_SIZE + 1 };
     svo_buffer *v = &s->w->visits;
     if (!s->recording) return NULL;
     if (v->size / 4 + MOST_IN_ROW > s->r->most_visits || (v->capacity - v->size < 4 * MOST_IN_ROW && !svo_buffer_reserve(v, 4 * MOST_IN_ROW))) {
@@ -64,6 +64,16 @@ static void mark_masked(void *user, const svo_raster_row *row)
 static void mark_plain(void *user, const svo_raster_row *row) { svo_block_mark(((svoi_scan *)user)->w->block, row); }
 static void mark_shaded(void *user, const svo_raster_row *row) { svo_block_mark_shaded(((svoi_scan *)user)->w->block, row); }
 
+/* Mark a voxel (there 1) that has to be averaged if it was marked before, or do nothing (there 0, in a brick that is used). */
+static inline uint32_t meet(svo_block *b, uint32_t code, uint64_t there)
+{
+    const uint64_t old = b->bricks[code >> 6], bit = there << (code & 63);
+    if (old == 0) b->used[code >> 12] |= (uint64_t)1 << (code >> 6 & 63);
+    b->bricks[code >> 6] = old | bit;
+    b->complex[code >> 6] |= old & bit;
+    return code;
+}
+
 /* Mark voxels; those that were marked before have to be averaged. */
 static void mark_met(void *user, const svo_raster_row *row)
 {
@@ -76,15 +86,15 @@ static void mark_met(void *user, const svo_raster_row *row)
     }
     const uint32_t *along = b->spread[row->w];
     for (int32_t u = row->u0; u <= row->u1; u++) {
-        uint32_t column = svo_block_column(b, row, u);
-        for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
-            uint32_t code = column | along[w];
-            uint64_t old = b->bricks[code >> 6], bit = (uint64_t)1 << (code & 63);
-            *out++ = code;
-            if (old == 0) b->used[code >> 12] |= (uint64_t)1 << (code >> 6 & 63);
-            b->bricks[code >> 6] = old | bit;
-            b->complex[code >> 6] |= old & bit;
-        }
+        const uint32_t column = svo_block_column(b, row, u);
+        const int32_t lo = row->lo[u], hi = row->hi[u];
+        if (lo > hi) continue;
+        /* Most columns have one voxel or two; which cannot be foreseen, so the second is always written, and counts where it is there. */
+        const uint32_t second = hi > lo;
+        *out++ = meet(b, column | along[lo], 1);
+        *out = meet(b, column | along[lo + (int32_t)second], second);
+        out += second;
+        for (int32_t w = lo + 2; w <= hi; w++) *out++ = meet(b, column | along[w], 1);
     }
     recorded(s, out);
 }
