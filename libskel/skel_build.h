@@ -166,6 +166,11 @@ svo_result skel_build_voxels(const svo_tree_info *info, const svo_chunk_source *
 
 void skel_skeleton_free(skel_skeleton *s);
 
+/* How far two curves are from each other, in the model's coordinates: samples 0.004 units of their own curve apart along all bones (fewer where there are so many bones
+ * that it would take long), to the nearest bone or joint of the other. */
+typedef struct skel_distance { double mean[2], max[2]; } skel_distance; /* from a to b, from b to a; the Hausdorff distance is the larger max */
+void skel_curve_distance(const skel_skeleton *a, const skel_skeleton *b, skel_distance *out);
+
 /* Measure any curve (joints and bones of s, in the mesh's coordinates; nothing else of it is read) against the surface of a mesh. */
 svo_result skel_measure_quality(const svo_mesh *mesh, const skel_skeleton *s, uint32_t threads, const svo_allocator *a, skel_quality *out, svo_error *err);
 

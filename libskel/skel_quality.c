@@ -224,3 +224,53 @@ svo_result skeli_quality_of(skeli_pool *pool, const skeli_surface *surface, cons
     skeli_give(pool, bone);
     return SVO_OK;
 }
+
+/* --- two curves --------------------------------------------------------------------------------------------------- */
+
+static double nearest_on(const skel_skeleton *s, const double *p)
+{
+    double best = INFINITY, foot;
+    for (uint32_t b = 0; b < s->bone_count; b++) best = fmin(best, skeli_segment_distance(p, s->joints[s->bones[b].a].position, s->joints[s->bones[b].b].position, &foot));
+    for (uint32_t j = 0; j < s->joint_count && (s->bone_count == 0 || s->report.isolated > 0); j++)
+        best = fmin(best, skeli_segment_distance(p, s->joints[j].position, s->joints[j].position, &foot));
+    return best;
+}
+
+#define MOST_PAIRS 2e9
+
+/* Means weigh samples by length; joints alone count where there is no length at all. */
+static void one_way(const skel_skeleton *from, const skel_skeleton *to, double *mean, double *max)
+{
+    double total = 0, sum = 0, foot, step = SPACING * from->report.unit, joints = 0;
+    for (uint32_t b = 0; b < from->bone_count; b++) {
+        const double *p = from->joints[from->bones[b].a].position, *q = from->joints[from->bones[b].b].position;
+        total += skeli_segment_distance(p, q, q, &foot);
+    }
+    double most = MOST_PAIRS / ((double)to->bone_count + to->joint_count + 1);
+    if (total / step > most) step = total / most;
+    *max = 0;
+    for (uint32_t b = 0; b < from->bone_count; b++) {
+        const double *p = from->joints[from->bones[b].a].position, *q = from->joints[from->bones[b].b].position;
+        double length = skeli_segment_distance(p, q, q, &foot);
+        uint64_t n = (uint64_t)fmin(length / step, 1e9) + 1;
+        for (uint64_t i = 0; i <= n; i++) {
+            double x[3];
+            for (int k = 0; k < 3; k++) x[k] = p[k] + (q[k] - p[k]) * (double)i / (double)n;
+            double d = nearest_on(to, x);
+            sum += d * length / (double)n * (i == 0 || i == n ? 0.5 : 1);
+            *max = fmax(*max, d);
+        }
+    }
+    for (uint32_t j = 0; j < from->joint_count && (from->bone_count == 0 || from->report.isolated > 0); j++) {
+        double d = nearest_on(to, from->joints[j].position);
+        joints += d;
+        *max = fmax(*max, d);
+    }
+    *mean = total > 0 ? sum / total : joints / from->joint_count;
+}
+
+void skel_curve_distance(const skel_skeleton *a, const skel_skeleton *b, skel_distance *out)
+{
+    one_way(a, b, &out->mean[0], &out->max[0]);
+    one_way(b, a, &out->mean[1], &out->max[1]);
+}

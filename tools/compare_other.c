@@ -45,6 +45,15 @@ static void compare_skeletons(compare_job *j, const skel_skeleton *a, const skel
     for (uint32_t i = 0; same_bones && i < a->bone_count; i++)
         same_bones = a->bones[i].a == b->bones[i].a && a->bones[i].b == b->bones[i].b;
     json_object_set_new(o, "same_bones", json_boolean(same_bones));
+    skel_distance d;
+    skel_curve_distance(a, b, &d);
+    double unit = a->report.unit, omega = a->report.omega * unit;
+    cli_put_f64(o, "curve_distance_mean", fmax(d.mean[0], d.mean[1]));
+    cli_put_f64(o, "curve_distance_mean_a_to_b", d.mean[0]);
+    cli_put_f64(o, "curve_distance_mean_b_to_a", d.mean[1]);
+    cli_put_f64(o, "hausdorff", fmax(d.max[0], d.max[1]));
+    cli_put_f64(o, "hausdorff_percent_of_unit", 100 * fmax(d.max[0], d.max[1]) / unit);
+    cli_put_f64(o, "curve_distance_mean_omegas", fmax(d.mean[0], d.mean[1]) / omega);
     if (a->map_count == b->map_count) {
         uint64_t moved = 0;
         for (uint64_t i = 0; i < a->map_count; i++) moved += a->map[i] != b->map[i];

@@ -90,6 +90,8 @@ static void print_chunks(const json_t *o)
 static void print_skeleton(const json_t *o)
 {
     const json_t *s = json_object_get(o, "skeleton");
+    printf("curves are %.6g apart in the mean, %.6g at most (Hausdorff; %.3g %% of the model's size)\n", number(s, "curve_distance_mean"), number(s, "hausdorff"),
+           number(s, "hausdorff_percent_of_unit"));
     if (json_object_get(s, "joint_distance_max") != NULL)
         printf("joints of the same number are %.6g apart in the mean, %.6g at most\n", number(s, "joint_distance_mean"), number(s, "joint_distance_max"));
     printf("bones are %s\n", json_is_true(json_object_get(s, "same_bones")) ? "the same" : "different");

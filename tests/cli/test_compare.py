@@ -162,9 +162,11 @@ def test_skeletons(folder):
     for name, omega in (("a", 0.2), ("b", 0.2), ("c", 0.05)):
         run("svo-skeleton", mesh, "-o", folder / (name + ".skel"), "--omega", omega)
     r = compare(folder / "a.skel", folder / "b.skel")
-    check(r["identical"] and r["skeleton"]["joint_distance_max"] == 0 and r["skeleton"]["same_bones"], r)
+    check(r["identical"] and r["skeleton"]["joint_distance_max"] == 0 and r["skeleton"]["hausdorff"] < 1e-12 and r["skeleton"]["same_bones"], r)
     r = compare(folder / "a.skel", folder / "c.skel", code=7)
     check(r["kind"] == "skeleton" and r["different_chunks"] >= 1 and not r["identical"], r)
+    d = r["skeleton"]
+    check(0 < d["curve_distance_mean"] <= d["hausdorff"] and d["curve_distance_mean"] == max(d["curve_distance_mean_a_to_b"], d["curve_distance_mean_b_to_a"]), d)
     damaged = folder / "d.skel"
     data = bytearray((folder / "a.skel").read_bytes())
     data[len(data) // 2] ^= 1

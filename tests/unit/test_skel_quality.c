@@ -57,6 +57,23 @@ TEST(line_that_leaves_a_tube)
     shape_free(&m);
 }
 
+TEST(distance_of_two_curves)
+{
+    skel_joint p[3] = {{.position = {0, 0, 0}}, {.position = {4, 0, 0}}, {.position = {4, 3, 0}}}, q[2] = {{.position = {0, 1, 0}}, {.position = {4, 1, 0}}};
+    skel_bone two[2] = {{0, 1}, {1, 2}};
+    skel_skeleton a = {.joint_count = 3, .joints = p, .bone_count = 2, .bones = two}, b = {.joint_count = 2, .joints = q, .bone_count = 1, .bones = two};
+    a.report.unit = b.report.unit = 4;
+    skel_distance d;
+    skel_curve_distance(&a, &b, &d);
+    CHECK(fabs(d.max[0] - 2) < 1e-12 && fabs(d.max[1] - 1) < 1e-12);
+    CHECK_MSG(fabs(d.mean[0] - (4 + 0.5 + 2) / 7) < 1e-3, "%g", d.mean[0]); /* 4 at 1; then 1 down to 0 and 0 up to 2 */
+    CHECK_MSG(fabs(d.mean[1] - 3.5 / 4) < 1e-3, "%g", d.mean[1]);           /* 3 at 1; then 1 down to 0 */
+    a.bone_count = 0; /* joints alone */
+    a.report.isolated = 3;
+    skel_curve_distance(&a, &b, &d);
+    CHECK(fabs(d.mean[0] - 4.0 / 3) < 1e-12 && fabs(d.max[0] - 2) < 1e-12);
+}
+
 TEST(genus)
 {
     skel_quality q;
