@@ -1,4 +1,5 @@
 /* svo-pack: a scene description, a glTF scene or a single asset to a packed, instanced scene. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,12 +8,16 @@
 #include "fmt_scene_build.h"
 
 typedef struct pack_options {
-    uint64_t depth, page;
-    double voxel_size;
+    uint64_t depth, page, budget;
+    double voxel_size, view_distance;
     const char *color, *normal, *attributes;
     int surface, fill, lod;
-    bool has_depth, has_size;
+    bool has_depth, has_size, has_distance, has_budget;
 } pack_options;
+
+/* --view-distance: a voxel is at most a pixel of a picture of this height and field of view. */
+#define VIEW_PIXELS 1080
+#define VIEW_FOV 0.6981317007977318 /* 40 degrees, svo-render's own */
 
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 static const char *const fills[] = {"surface", "solid", NULL};
@@ -155,7 +160,68 @@ static svo_result write_scene(cli *c, const fmt_scene_build *b, const svo_alloca
     return result;
 }
 
-static svo_result run(cli *c, fmt_scene_build_options *o, svo_error *err)
+/* Bytes of the scene at a depth; 0 in *bytes when an asset needs more levels than there are. */
+static svo_result bytes_at(const cli *c, const fmt_scene_build_options *o, uint32_t depth, uint64_t *bytes, svo_error *err)
+{
+    fmt_scene_build_options trial = *o;
+    svo_buffer file;
+    fmt_scene_build *b;
+    fmt_output *out;
+    trial.depth = depth;
+    trial.voxelize.warnings = trial.dag.warnings = NULL;
+    trial.phase = NULL;
+    svo_buffer_init(&file, o->dag.allocator);
+    SVO_TRY(fmt_scene_build_open(c->inputs[0], &trial, &b, err));
+    svo_result result = fmt_output_open_memory(&file, &out, err);
+    if (result == SVO_OK) {
+        result = fmt_scene_write(out, fmt_scene_build_scene(b), NULL, o->dag.allocator, NULL, NULL, err);
+        if (result == SVO_OK) result = fmt_output_commit(out, err);
+        else fmt_output_discard(out);
+    }
+    *bytes = file.size;
+    svo_buffer_free(&file);
+    fmt_scene_build_close(b);
+    return result;
+}
+
+/* The greatest depth up to o->depth at which the scene takes at most `budget` bytes. From coarse to fine, as each level costs about what all coarser ones do
+ * together, three times over. */
+static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_error *err)
+{
+    enum { META_ROOM = 4096 }; /* provenance, which trials leave out */
+    uint32_t best = 0, depth = o->depth < 5 ? 0 : 5;
+    bool fits = false;
+    uint64_t bytes = 0, before = 0;
+    json_t *tried = json_array();
+    cli_phase(c, "budget");
+    for (; depth <= o->depth; depth++) {
+        svo_result result = bytes_at(c, o, depth, &bytes, err);
+        if (result != SVO_OK) {
+            json_decref(tried);
+            return result;
+        }
+        json_t *t = json_object();
+        cli_put_u64(t, "depth", depth);
+        cli_put_u64(t, "bytes", bytes);
+        json_array_append_new(tried, t);
+        if (bytes + META_ROOM > budget) {
+            if (fits || depth == 0) break;
+            o->depth = depth - 1; /* too much even at the coarsest depth tried: look below it */
+            depth = (uint32_t)-1;
+            continue;
+        }
+        fits = true, best = depth;
+        if (before != 0 && bytes - before > budget - bytes) break; /* the next level adds more than this one did */
+        before = bytes;
+    }
+    json_object_set_new(cli_section(c, "output"), "budget_tried", tried);
+    if (!fits) return svo_fail(err, SVO_LIMIT, "the scene takes %llu bytes with single voxels for its meshes, more than --budget", (unsigned long long)bytes);
+    o->depth = best;
+    cli_info(c, "depth %u for a budget of %llu bytes", best, (unsigned long long)budget);
+    return SVO_OK;
+}
+
+static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_error *err)
 {
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
@@ -167,8 +233,9 @@ static svo_result run(cli *c, fmt_scene_build_options *o, svo_error *err)
     o->user = c;
     fmt_output *out;
     SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
-    fmt_scene_build *b;
-    svo_result result = fmt_scene_build_open(c->inputs[0], o, &b, err);
+    fmt_scene_build *b = NULL;
+    svo_result result = budget != 0 ? fit_budget(c, o, budget, err) : SVO_OK;
+    if (result == SVO_OK) result = fmt_scene_build_open(c->inputs[0], o, &b, err);
     if (result != SVO_OK) {
         fmt_output_discard(out);
         if (result == SVO_OUT_OF_MEMORY && c->memory != 0 && svo_limit_peak(&limit) > 0) {
@@ -191,6 +258,10 @@ int main(int argc, char **argv)
          .help = "Levels of the mesh that is largest in the scene; the others get as few as give voxels of that size.", .group = "Meshes"},
         {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-300, .max = 1e300, .seen = &o.has_size,
          .no_default = true, .help = "Largest edge of a voxel in scene units, in place of --depth.", .group = "Meshes"},
+        {.name = "view-distance", .kind = CLI_DOUBLE, .value = &o.view_distance, .argument = "D", .min = 1e-300, .max = 1e300, .seen = &o.has_distance,
+         .no_default = true, .help = "Nearest distance that anything is seen from: voxels are as wide as a pixel there, 1080 pixels high at 40 degrees.", .group = "Meshes"},
+        {.name = "budget", .kind = CLI_SIZE, .value = &o.budget, .argument = "SIZE", .min = 1, .max = (double)(UINT64_C(1) << 53), .seen = &o.has_budget, .no_default = true,
+         .help = "Largest OUT: the greatest depth up to --depth (16) that fits.", .group = "Meshes"},
         {.name = "attributes", .kind = CLI_TEXT, .value = &o.attributes, .argument = "LIST",
          .help = "auto, none, or some of color,normal,emissive,metallic,roughness,material,coverage.", .group = "Meshes"},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
@@ -221,14 +292,19 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     if (o.has_depth && o.has_size) return cli_usage(&c, "--depth and --voxel-size exclude each other");
+    if (o.has_distance && (o.has_depth || o.has_size || o.has_budget)) return cli_usage(&c, "--view-distance excludes --depth, --voxel-size and --budget");
+    if (o.has_budget && o.has_size) return cli_usage(&c, "--budget excludes --voxel-size");
+    if (o.has_budget && strcmp(c.inputs[0], "-") == 0) return cli_usage(&c, "--budget reads the scene several times: it cannot come from stdin");
+    if (o.has_distance) o.voxel_size = 2 * o.view_distance * tan(0.5 * VIEW_FOV) / VIEW_PIXELS;
+    if (o.has_budget && !o.has_depth) o.depth = 16;
     if ((code = cli_take_channels(&c, o.attributes, &build.voxelize.channels)) >= 0) return code;
     if ((code = cli_take_quality(&c, o.color, o.normal, &build.dag)) >= 0) return code;
     build.depth = (uint32_t)o.depth;
-    build.voxel_size = o.has_size ? o.voxel_size : 0;
+    build.voxel_size = o.has_size || o.has_distance ? o.voxel_size : 0;
     build.page_instances = (uint32_t)o.page;
     build.voxelize.surface = (svo_surface)o.surface;
     build.voxelize.fill = (svo_fill)o.fill;
     build.dag.lod = o.lod == 0;
     svo_error err = {0};
-    return cli_end(&c, run(&c, &build, &err), &err);
+    return cli_end(&c, run(&c, &build, o.has_budget ? o.budget : 0, &err), &err);
 }

@@ -5,10 +5,13 @@
 
 TOOLS: the folder of the built tools; MODELS: the folder of real models; FOLDER: where files go (0.5 GB for 10^6). Two views: `field`, over
 the whole field, where what is seen grows with the number of instances until they hide each other; `street`, from inside it, where it does not."""
-import csv, json, math, pathlib, random, subprocess, sys, time
+import csv, json, math, os, pathlib, random, subprocess, sys, time
 
 MODELS = ["A_organic/bunny_closed/bunny_hr.obj", "A_organic/camel/camel.off", "A_organic/elephant/elephant.off", "A_organic/horse/horse.ply",
           "A_organic/human_neutral/human_neutral.obj", "A_organic/scorpion/scorpion.obj"]
+
+
+METHODS = (os.environ.get("METHODS") or "direct,emit").split(",")  # "resize" takes several GB
 
 
 def run(*command):
@@ -62,7 +65,7 @@ def main():
         views = {"field": (f"{side / 2},{0.35 * side},{0.6 * side}", f"{side / 2},0,{-0.45 * side}"),
                  "street": (f"{side / 2 + 0.6},1.7,{-side / 2 + 0.6}", f"{side / 2 + 4},0.8,{-side / 2 - 8}")}
         for view, (eye, target) in views.items():
-            for method in ("direct", "resize", "emit"):
+            for method in METHODS:
                 report = folder / "render.json"
                 began = time.time()
                 run(tools / "svo-render", scene, "-o", folder / f"{view}-{method}-{count}.png", "-f", "--size", "1280x720", "--eye", eye, "--target", target,
