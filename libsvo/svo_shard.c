@@ -5,9 +5,11 @@
 
 #include "svo_bin.h"
 #include "svo_morton.h"
+#include "svo_raster.h"
+#include "svo_soup.h"
 
 /* Cost of a triangle in a node, in voxels: measured, a triangle much smaller than a voxel takes as long as about 8 voxels. */
-enum { TRIANGLE_COST = 8, UNITS = 16 /* parts of a voxel that work is counted in */, NODES_PER_SHARD = 16, MAX_CORNERS = 9 };
+enum { TRIANGLE_COST = 8, UNITS = 16 /* parts of a voxel that work is counted in */, NODES_PER_SHARD = 16, MAX_CORNERS = 9, MOST_STREAM_LEVEL = 7 };
 
 typedef struct weight {
     uint64_t code, work;
@@ -86,6 +88,92 @@ static svo_result weigh(svo_bins *bins, const svo_grid *grid, uint32_t level, sv
     }
 }
 
+/* --- the same for triangles outside of memory --- */
+
+typedef struct stream {
+    const svo_grid *grid;
+    const svo_mat4 *transform;
+    uint32_t level;
+    uint64_t *work; /* of all nodes of the level */
+} stream;
+
+/* Add the work of a triangle to all nodes that it is handed to, as svo_bins_next hands it down. */
+static void weigh_triangle(stream *s, const svo_vec3 v[3])
+{
+    svo_record record;
+    double zero = 0; /* NaN where something is not finite */
+    for (int k = 0; k < 3; k++) zero += v[k].x * 0 + v[k].y * 0 + v[k].z * 0;
+    if (!(zero == 0)) return;
+    for (int k = 0; k < 3; k++) svo_grid_snap(s->grid, v[k], record.q[k]);
+    int32_t low[3], high[3];
+    svo_raster_bounds((const int32_t(*)[3])record.q, low, high);
+    struct { uint64_t code; uint32_t level; } stack[8 * (SVO_MAX_DEPTH + 1)];
+    uint32_t top = 0;
+    stack[top].code = 0;
+    stack[top++].level = 0;
+    while (top != 0) {
+        const uint64_t code = stack[--top].code;
+        const uint32_t level = stack[top].level;
+        uint32_t x, y, z;
+        svo_morton_decode(code, &x, &y, &z);
+        const int32_t size = (int32_t)1 << (s->grid->depth + 8 - level), corner[3] = {(int32_t)x * size, (int32_t)y * size, (int32_t)z * size};
+        if (level == s->level) {
+            s->work[code] += triangle_work(&record, corner, size);
+            continue;
+        }
+        const uint8_t mask = svo_raster_octants((const int32_t(*)[3])record.q, low, high, corner, size / 2);
+        for (uint32_t i = 0; i < 8; i++) {
+            if (!(mask >> i & 1)) continue;
+            stack[top].code = code * 8 + i;
+            stack[top++].level = level + 1;
+        }
+    }
+}
+
+static void weigh_corners(void *user, const double c[9])
+{
+    stream *s = user;
+    svo_vec3 v[3];
+    for (int k = 0; k < 3; k++) v[k] = svo_mat4_point(s->transform, svo_v3(c[3 * k], c[3 * k + 1], c[3 * k + 2]));
+    weigh_triangle(s, v);
+}
+
+static svo_result weigh_stream(const svo_placement *p, const svo_grid *grid, uint32_t level, const svo_allocator *a, svo_buffer *weights, svo_error *err)
+{
+    if (level > MOST_STREAM_LEVEL)
+        return svo_fail(err, SVO_LIMIT, "a mesh that is larger than memory can be cut into at most %u shards; allow more (--memory)", ((1u << 2 * MOST_STREAM_LEVEL) / NODES_PER_SHARD));
+    const uint64_t nodes = (uint64_t)1 << 3 * level;
+    stream s = {.grid = grid, .level = level, .work = svo_calloc(a, nodes, sizeof *s.work)};
+    svo_result r = s.work != NULL ? SVO_OK : no_memory(err);
+    for (uint64_t g = 0; r == SVO_OK && g < p->group_count; g++) {
+        const svo_part *part = p->groups[g].part;
+        s.transform = &p->mesh->instances[p->groups[g].instance].transform;
+        if (part->soup != NULL) {
+            r = svo_soup_triangles(part->soup, 0, part->soup->pieces.size / sizeof(svo_soup_piece), weigh_corners, &s, err);
+            continue;
+        }
+        for (uint64_t t = 0; t < part->triangle_count; t++) {
+            svo_vec3 v[3];
+            svo_placement_world(p, &p->groups[g], t, v);
+            weigh_triangle(&s, (const svo_vec3 *)v);
+        }
+    }
+    for (uint64_t i = 0; r == SVO_OK && i < nodes; i++) {
+        const weight w = {i, s.work[i]};
+        if (w.work != 0 && svo_buffer_append(weights, &w, sizeof w) == NULL) r = no_memory(err);
+    }
+    svo_free(a, s.work, nodes, sizeof *s.work);
+    return r;
+}
+
+static bool is_spilled(const svo_mesh *mesh)
+{
+    for (uint32_t i = 0; i < mesh->shape_count; i++)
+        for (uint32_t p = 0; p < mesh->shapes[i].part_count; p++)
+            if (mesh->shapes[i].parts[p].soup != NULL) return true;
+    return false;
+}
+
 /* Nodes belong to the shard in which the middle of their work falls. */
 static void cut(const svo_buffer *weights, uint32_t level, uint32_t chunk_level, svo_shard *s)
 {
@@ -111,10 +199,6 @@ svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *opti
 {
     if (count == 0 || count > SVO_MAX_SHARDS || index == 0 || index > count)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "there is no shard %u of %u", index, count);
-    for (uint32_t i = 0; i < mesh->shape_count; i++)
-        for (uint32_t p = 0; p < mesh->shapes[i].part_count; p++)
-            if (mesh->shapes[i].parts[p].soup != NULL)
-                return svo_fail(err, SVO_LIMIT, "shards are planned with all triangles in memory; allow more (--memory)");
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, options->memory != 0 ? options->memory : UINT64_MAX, options->allocator);
     svo_grid grid = {.size = info->voxel_to_world[0], .depth = info->depth};
@@ -130,8 +214,10 @@ svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *opti
     svo_buffer_init(&weights, &limit.base);
     svo_result r = svo_placement_create(mesh, &limit.base, &placement, err);
     uint64_t keep = options->memory == 0 ? UINT64_MAX : options->memory / 2;
-    if (r == SVO_OK) r = svo_bins_create(&placement, &grid, level, keep, options->threads, &limit.base, &bins, &unused, err);
-    if (r == SVO_OK) r = weigh(bins, &grid, level, &list, &weights, err);
+    const bool spilled = is_spilled(mesh);
+    if (r == SVO_OK && spilled) r = weigh_stream(&placement, &grid, level, &limit.base, &weights, err);
+    if (r == SVO_OK && !spilled) r = svo_bins_create(&placement, &grid, level, keep, options->threads, &limit.base, &bins, &unused, err);
+    if (r == SVO_OK && !spilled) r = weigh(bins, &grid, level, &list, &weights, err);
     if (r == SVO_OK) {
         svo_shard s = {.index = index, .count = count};
         cut(&weights, level, chunk_level, &s);

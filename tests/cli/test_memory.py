@@ -127,6 +127,27 @@ def test_damaged_files_give_the_same_errors(folder):
     check(r.code == 3, r)
 
 
+def test_shards_of_a_mesh_larger_than_memory(folder):
+    """The plan is that of the mesh in memory, and so are the bytes when they are joined."""
+    mesh = sheet(folder, "ply", 400000, shuffled=True)
+    whole = compare(folder, mesh, "24M", 24 << 20, "--depth", "9", "--reference", "0")
+    check(whole["temporary_files"]["used"], whole)
+    parts = []
+    for i in (1, 2, 3):
+        parts.append(folder / ("part%d.svo" % i))
+        plans = []
+        for memory in ([], ["--memory", "24M", "--temp", folder]):
+            r = tool("svo-voxelize", mesh, "-o", parts[-1], "-f", "--depth", "9", "--shard", "%d/3" % i, "--report", folder / "s.json", *memory)
+            check(r.code == 0, r)
+            report = json.loads((folder / "s.json").read_text())
+            plans.append(report["shard"])
+        check(report["input"]["spilled_triangles"] != 0, report["input"])
+        check(plans[0] == plans[1], plans)
+    r = tool("svo-merge", *parts, "-o", folder / "merged.svo")
+    check(r.code == 0, r)
+    check((folder / "merged.svo").read_bytes() == (folder / "b.svo").read_bytes(), "shards give other bytes")
+
+
 def test_too_little_memory_says_what_would_do(folder):
     mesh = sheet(folder, "stl", 20000)
     for memory in ("1", "100K", "1M", "4M"):
