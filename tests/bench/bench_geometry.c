@@ -1,6 +1,6 @@
 /* Sizes and rates of the layouts of a packed octree on the same voxels, in one run.
  *
- *     bench_geometry [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]
+ *     bench_geometry [-c] [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]
  *
  * Every layout is made of the voxels of A twice: without attributes (nothing is numbered) and with one 8-bit channel that
  * varies, lod on (every node is numbered). Bits are geometry only, a finest voxel and a node of the octree.
@@ -10,7 +10,7 @@
  *   near     ns: without index, at cells next to random voxels (about half are empty)
  *   primary  Mray/s, 1280x720 in blocks of 4x4, seen from outside
  *   random   Mray/s, chords through the box
- * Layouts take turns; the best of the repeats counts, of the thread's CPU time. */
+ * -c: as CSV. Layouts take turns; the best of the repeats counts, of the thread's CPU time. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdio.h>
@@ -25,9 +25,9 @@
 #include "svo_render.h"
 #include "svo_unpack.h"
 
-enum { LAYOUTS = 3, RAY_SETS = 2, BATCH = 256 };
-static const char *const layout_names[LAYOUTS] = {"svdag", "fast", "best"};
-static const svo_geometry layout_ids[LAYOUTS] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_BEST};
+enum { LAYOUTS = 4, RAY_SETS = 2, BATCH = 256 };
+static const char *const layout_names[LAYOUTS] = {"svdag", "fast", "symmetric", "best"};
+static const svo_geometry layout_ids[LAYOUTS] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
 
 static double seconds(clockid_t clock)
 {
@@ -183,7 +183,7 @@ static double cast(const svo_view *v, const rays *r, uint64_t *check)
     return (seconds(CLOCK_THREAD_CPUTIME_ID) - start) / (double)r->count;
 }
 
-static void measure(const char *path, const svo_view *v, int repeats, uint64_t queries)
+static void measure(const char *path, const svo_view *v, int repeats, uint64_t queries, bool csv)
 {
     enum { KINDS = 5 };
     svo_packed *packed[LAYOUTS][2];
@@ -231,17 +231,23 @@ static void measure(const char *path, const svo_view *v, int repeats, uint64_t q
                 if (check[l][k] != check[0][k]) fprintf(stderr, "%s: %s gives other answers (%d)\n", path, layout_names[l], k), exit(1);
     }
     const char *name = strrchr(path, '/');
+    for (int l = 0; l < LAYOUTS && csv; l++)
+        printf("%s,%u,%.0f,%llu,%s,%.4f,%.4f,%.4f,%.3f,%.1f,%.1f,%.1f,%.3f,%.3f\n", name ? name + 1 : path, v->depth, voxels, (unsigned long long)svo_nodes,
+               layout_names[l], 8.0 * (double)bytes[l][0] / voxels, 8.0 * (double)bytes[l][1] / voxels, 8.0 * (double)bytes[l][1] / (double)svo_nodes, cpu[l][1],
+               best[l][0], best[l][1], best[l][2], 1e-6 / best[l][3], 1e-6 / best[l][4]);
+    if (csv) goto done;
     printf("%s: depth %u, %.0f voxels, %llu nodes\n", name ? name + 1 : path, v->depth, voxels, (unsigned long long)svo_nodes);
-    printf("  %-8s %9s %9s %9s %9s %8s | %7s %7s %7s %9s %8s | ratios to svdag\n", "layout", "b/voxel", "numbered", "b/node", "bytes", "build s",
+    printf("  %-9s %9s %9s %9s %9s %8s | %7s %7s %7s %9s %8s | ratios to svdag\n", "layout", "b/voxel", "numbered", "b/node", "bytes", "build s",
            "hit", "is", "near", "primary", "random");
     for (int l = 0; l < LAYOUTS; l++) {
-        printf("  %-8s %9.4f %9.4f %9.4f %9llu %8.3f | %7.0f %7.0f %7.0f %9.2f %8.2f |", layout_names[l], 8.0 * (double)bytes[l][0] / voxels,
+        printf("  %-9s %9.4f %9.4f %9.4f %9llu %8.3f | %7.0f %7.0f %7.0f %9.2f %8.2f |", layout_names[l], 8.0 * (double)bytes[l][0] / voxels,
                8.0 * (double)bytes[l][1] / voxels, 8.0 * (double)bytes[l][1] / (double)svo_nodes, (unsigned long long)bytes[l][1], cpu[l][1],
                best[l][0], best[l][1], best[l][2], 1e-6 / best[l][3], 1e-6 / best[l][4]);
         printf(" size %.3f", (double)bytes[l][1] / (double)bytes[0][1]);
         for (int k = 0; k < KINDS; k++) printf(" %.2f", best[l][k] / best[0][k]);
         putchar('\n');
     }
+done:
     for (int l = 0; l < LAYOUTS; l++)
         for (int n = 0; n < 2; n++) svo_packed_free(packed[l][n]);
     for (int s = 0; s < RAY_SETS; s++) free(sets[s].ray);
@@ -253,9 +259,12 @@ int main(int argc, char **argv)
 {
     int repeats = 5;
     uint64_t queries = 400000;
-    bool any = false;
+    bool any = false, csv = false;
     for (int i = 1; i < argc; i++) {
-        if (strcmp(argv[i], "-n") == 0 && i + 1 < argc) repeats = atoi(argv[++i]);
+        if (strcmp(argv[i], "-c") == 0) {
+            csv = true;
+            puts("model,depth,voxels,nodes,layout,bits_per_voxel,bits_per_voxel_numbered,bits_per_node_numbered,build_cpu_s,lookup_numbered_ns,lookup_ns,near_ns,primary_mrays,random_mrays");
+        } else if (strcmp(argv[i], "-n") == 0 && i + 1 < argc) repeats = atoi(argv[++i]);
         else if (strcmp(argv[i], "-q") == 0 && i + 1 < argc) queries = strtoull(argv[++i], NULL, 10);
         else {
             fmt_bytes bytes;
@@ -264,11 +273,11 @@ int main(int argc, char **argv)
             must(fmt_bytes_open(argv[i], 0, NULL, &bytes, &err), &err);
             must(fmt_svdag_open(bytes.data, bytes.size, NULL, &dag, &err), &err);
             if (dag.view.empty || queries == 0 || repeats < 1) return fputs("nothing to measure\n", stderr), 1;
-            measure(argv[i], &dag.view, repeats, queries);
+            measure(argv[i], &dag.view, repeats, queries, csv);
             fmt_svdag_close(&dag);
             fmt_bytes_close(&bytes);
             any = true;
         }
     }
-    return any ? 0 : (fputs("usage: bench_geometry [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]\n", stderr), 1);
+    return any ? 0 : (fputs("usage: bench_geometry [-c] [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]\n", stderr), 1);
 }

@@ -151,6 +151,18 @@ def test_depths_0_1_21(folder):
     check(tool("svo-voxelize", folder / "m.obj", "-o", folder / "x.svo", "--depth", 22).code == 1)
 
 
+def test_full_block_of_depth_12(folder):
+    """4096^3 voxels, all there: every geometry holds them in next to nothing, and a file that says more of itself than it holds is refused."""
+    write_obj = both(folder, CUBE, CUBE_TRIANGLES, 0)  # leaves m.obj behind
+    check(len(write_obj.set) == 1)
+    check(tool("svo-voxelize", folder / "m.obj", "-o", folder / "x.svo", "-f", "--depth", 12, "--fill", "solid", "--attributes", "none").code == 0)
+    for geometry in ("svdag", "symmetric", "fast", "best"):
+        check(tool("svo-compress", folder / "x.svo", "-o", folder / "x.svdag", "-f", "--geometry", geometry).code == 0, geometry)
+        d = json.loads(tool("svo-dump", folder / "x.svdag", "--json").out)
+        check(d["voxels"] == 4096**3 and d["bytes"] < 10000, (geometry, d["voxels"], d["bytes"]))
+        check(tool("svo-dump", folder / "x.svdag", "--validate").code == 0, geometry)
+
+
 def test_faces_on_grid_planes(folder):
     # a plane belongs to the layer above it, the last one to the last layer
     points = CUBE + [(0.0, 0.0, 0.5), (1.0, 0.0, 0.5), (1.0, 1.0, 0.5), (0.0, 1.0, 0.5)]
