@@ -5,10 +5,11 @@
 
 #include "skeli_curve.h"
 
-enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40 };
+enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, SMOOTH_ROUNDS = 3 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define FLAT_RAYS 2.0   /* a ray counts up to so many medians: one that runs along another limb says nothing about this one */
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
+#define GENTLE 0.85     /* a turn by 30 degrees is a bend of the limb, not a zig-zag */
 #define SPACE 0.5       /* of the radius: joints of a chain are at least that far apart */
 #define LONG_BONE 5.0   /* omega: straight limbs keep a joint now and then, for what is done with the bones afterwards */
 #define STICKS_OUT 1.3  /* way to the tip by the radius at the root of a branch; less is no branch */
@@ -420,6 +421,26 @@ static svo_result drop_stubs(skeli_pool *pool, const skeli_soup *mesh, const ske
     }
 }
 
+/* Take out what is left of zig-zags, which another triangulation or position of the same shape would not have: towards the middle of the neighbours, where that is inside. */
+static svo_result smooth_chains(skeli_pool *pool, const skeli_surface *s, double omega, skeli_curve *c, svo_error *err)
+{
+    skeli_chains chains;
+    SVO_TRY(skeli_chains_make(pool, c, &chains, err));
+    for (int round = 0; round < SMOOTH_ROUNDS; round++)
+        for (uint32_t k = 0; k < chains.count; k++) {
+            const uint32_t *chain = chains.joint + chains.start[k], n = chains.start[k + 1] - chains.start[k];
+            for (uint32_t i = 1; i + 1 < n; i++) {
+                double *p = c->position + 3 * (uint64_t)chain[i], q[3];
+                const double *a = c->position + 3 * (uint64_t)chain[i - 1], *b = c->position + 3 * (uint64_t)chain[i + 1];
+                if (turn(a, p, b) > GENTLE) continue;
+                for (int e = 0; e < 3; e++) q[e] = p[e] / 2 + (a[e] + b[e]) / 4;
+                if (way_outside(s, a, q, omega) + way_outside(s, q, b, omega) <= way_outside(s, a, p, omega) + way_outside(s, p, b, omega)) memcpy(p, q, sizeof q);
+            }
+        }
+    skeli_chains_free(pool, &chains);
+    return SVO_OK;
+}
+
 svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
 {
     skeli_fans fans;
@@ -436,5 +457,6 @@ svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_su
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     SVO_TRY(centre_chains(pool, surface, c, err));
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
+    SVO_TRY(smooth_chains(pool, surface, omega, c, err));
     return thin_chains(pool, mesh, surface, omega, false, c, err);
 }

@@ -1,0 +1,189 @@
+/* The same skeleton for the same shape: turned, with noise, at another resolution, with faces lost; on real models. */
+#include "fmt_import.h"
+#include "skel_shapes.h"
+#include "test.h"
+
+static svo_error err;
+
+static bool load(const char *model, shape *s)
+{
+    const char *path = test_model(model);
+    if (path == NULL) return false;
+    svo_mesh m;
+    fmt_import_options o = {.skip_images = true};
+    memset(s, 0, sizeof *s);
+    if (fmt_import_mesh(path, &o, &m, &err) != SVO_OK) return false;
+    for (uint32_t i = 0; i < m.shapes[0].part_count; i++) {
+        const svo_part *part = &m.shapes[0].parts[i];
+        uint32_t base = (uint32_t)s->points;
+        for (uint64_t v = 0; v < part->vertex_count; v++) shape_point(s, part->positions[3 * v], part->positions[3 * v + 1], part->positions[3 * v + 2]);
+        for (uint64_t t = 0; t < part->triangle_count; t++) shape_triangle(s, base + part->indices[3 * t], base + part->indices[3 * t + 1], base + part->indices[3 * t + 2]);
+    }
+    svo_mesh_free(&m);
+    return true;
+}
+
+static void skeleton(const shape *s, double omega, skel_skeleton *out)
+{
+    skel_options o = skel_default_options();
+    o.omega = omega;
+    o.search = SKEL_SEARCH_GRID;
+    CHECK_OK(shape_skeleton(s, &o, out, &err));
+}
+
+static void turn(double *p, uint64_t stride, uint64_t count, const double axis[3], double degrees)
+{
+    double n = sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2]), a[3] = {axis[0] / n, axis[1] / n, axis[2] / n};
+    double c = cos(degrees * SHAPE_TAU / 360), e = sin(degrees * SHAPE_TAU / 360);
+    for (uint64_t i = 0; i < count; i++) {
+        double *x = (double *)((char *)p + i * stride), along = a[0] * x[0] + a[1] * x[1] + a[2] * x[2], q[3];
+        for (int k = 0; k < 3; k++)
+            q[k] = x[k] * c + (a[(k + 1) % 3] * x[(k + 2) % 3] - a[(k + 2) % 3] * x[(k + 1) % 3]) * e + a[k] * along * (1 - c);
+        memcpy(x, q, sizeof q);
+    }
+}
+
+/* Hausdorff distance in percent of the model's size. */
+static double apart(const skel_skeleton *a, const skel_skeleton *b, double *mean)
+{
+    skel_distance d;
+    skel_curve_distance(a, b, &d);
+    *mean = 100 * fmax(d.mean[0], d.mean[1]) / a->report.unit;
+    return 100 * fmax(d.max[0], d.max[1]) / a->report.unit;
+}
+
+static void turned(const char *model, double omega, const double axis[3], double degrees, double most)
+{
+    shape s;
+    if (!load(model, &s)) {
+        test_skip("no %s", model);
+        return;
+    }
+    skel_skeleton a, b;
+    skeleton(&s, omega, &a);
+    turn(s.p, 3 * sizeof *s.p, s.points, axis, degrees);
+    skeleton(&s, omega, &b);
+    turn(b.joints[0].position, sizeof *b.joints, b.joint_count, axis, -degrees);
+    double mean, worst = apart(&a, &b, &mean);
+    CHECK_MSG(worst <= most && mean <= 1, "%g %% Hausdorff, %g %% mean", worst, mean);
+    CHECK_U64(a.report.loops, b.report.loops);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&s);
+}
+
+/* What differs most are joints where a limb enters the body: there the curve's way is arbitrary. The means are the measure of sameness, the largest distances bounds. */
+static const double up[3] = {0, 0, 1}, odd[3] = {0.3, -0.8, 0.52};
+
+TEST(rotation_by_37_degrees) { turned("A_organic/horse/horse.ply", 0.025, up, 37, 3.5); }
+TEST(rotation_by_an_odd_angle) { turned("A_organic/horse/horse.ply", 0.025, odd, 101.3, 4.5); }
+TEST(rotation_of_a_human) { turned("A_organic/human_neutral/human_neutral.obj", 0.025, odd, 37, 6.5); }
+
+TEST(noise_of_0_3_percent)
+{
+    shape s;
+    if (!load("A_organic/horse/horse.ply", &s)) {
+        test_skip("no A_organic/horse/horse.ply");
+        return;
+    }
+    skel_skeleton a, b;
+    skeleton(&s, 0.025, &a);
+    uint64_t seed = 1;
+    for (uint64_t i = 0; i < 3 * s.points; i++) {
+        seed = seed * 6364136223846793005u + 1442695040888963407u;
+        s.p[i] += 0.003 * a.report.unit * (2 * (double)(seed >> 11) * 0x1p-53 - 1);
+    }
+    skeleton(&s, 0.025, &b);
+    double mean, worst = apart(&a, &b, &mean);
+    CHECK_MSG(worst <= 4 && mean <= 1, "%g %% Hausdorff, %g %% mean", worst, mean);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&s);
+}
+
+/* Every triangle divided into four: the same surface with four times the triangles. */
+TEST(two_resolutions)
+{
+    shape s, f = {0};
+    if (!load("A_organic/human_neutral/human_neutral.obj", &s)) {
+        test_skip("no A_organic/human_neutral/human_neutral.obj");
+        return;
+    }
+    for (uint64_t t = 0; t < s.triangles; t++) {
+        uint32_t c[6];
+        for (int k = 0; k < 3; k++) {
+            const double *p = s.p + 3 * (uint64_t)s.t[3 * t + (uint64_t)k], *q = s.p + 3 * (uint64_t)s.t[3 * t + (uint64_t)((k + 1) % 3)];
+            c[k] = shape_point(&f, p[0], p[1], p[2]);
+            c[3 + k] = shape_point(&f, (p[0] + q[0]) / 2, (p[1] + q[1]) / 2, (p[2] + q[2]) / 2);
+        }
+        shape_triangle(&f, c[0], c[3], c[5]);
+        shape_triangle(&f, c[3], c[1], c[4]);
+        shape_triangle(&f, c[5], c[4], c[2]);
+        shape_triangle(&f, c[3], c[4], c[5]);
+    }
+    skel_skeleton a, b;
+    skeleton(&s, 0.025, &a);
+    skeleton(&f, 0.025, &b);
+    double mean, worst = apart(&a, &b, &mean);
+    CHECK_MSG(worst <= 5.5 && mean <= 1, "%g %% Hausdorff, %g %% mean", worst, mean);
+    CHECK_U64(a.report.ends, b.report.ends);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&s);
+    shape_free(&f);
+}
+
+/* 10 % of the faces, and half of the model. */
+TEST(faces_lost)
+{
+    shape s;
+    if (!load("A_organic/horse/horse.ply", &s)) {
+        test_skip("no A_organic/horse/horse.ply");
+        return;
+    }
+    skel_skeleton a, b;
+    skeleton(&s, 0.025, &a);
+    uint64_t kept = 0, seed = 3;
+    for (uint64_t t = 0; t < s.triangles; t++) {
+        seed = seed * 6364136223846793005u + 1442695040888963407u;
+        if ((seed >> 33) % 10 != 0) memmove(s.t + 3 * kept++, s.t + 3 * t, 3 * sizeof *s.t);
+    }
+    s.triangles = kept;
+    skeleton(&s, 0.025, &b);
+    double mean, worst = apart(&a, &b, &mean);
+    CHECK_MSG(worst <= 6 && mean <= 2, "%g %% Hausdorff, %g %% mean", worst, mean);
+    skel_skeleton_free(&b);
+    kept = 0;
+    for (uint64_t t = 0; t < s.triangles; t++)
+        if (s.p[3 * (uint64_t)s.t[3 * t] + 2] > a.report.centre[2]) memmove(s.t + 3 * kept++, s.t + 3 * t, 3 * sizeof *s.t);
+    s.triangles = kept;
+    skeleton(&s, 0.025, &b);
+    CHECK_OK(skel_check(&b, &err));
+    CHECK(b.report.unreferenced > 1000 && b.joint_count > 5 && b.report.quality.length_inside > 50);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    shape_free(&s);
+}
+
+/* On closed models the loops are the genus, nearly all of the curve is inside, and no triangle is left. */
+static void closed(const char *model, double omega)
+{
+    shape s;
+    if (!load(model, &s)) {
+        test_skip("no %s", model);
+        return;
+    }
+    skel_skeleton a;
+    skeleton(&s, omega, &a);
+    const skel_quality *q = &a.report.quality;
+    CHECK(q->genus_known);
+    CHECK_U64(a.report.loops, q->genus);
+    CHECK_MSG(q->length_inside >= 99 && q->joints_inside >= 99, "%g %% inside", q->length_inside);
+    skel_skeleton_free(&a);
+    shape_free(&s);
+}
+TEST(fertility_has_genus_4) { closed("A_organic/fertility/fertility.off", 0.018); }
+TEST(elephant_has_genus_3) { closed("A_organic/elephant/elephant.off", 0.018); }
+TEST(horse_is_a_tree) { closed("A_organic/horse/horse.ply", 0.025); }
+TEST(armadillo_is_a_tree) { closed("A_organic/armadillo/armadillo.obj", 0.025); }
+TEST(hand_is_a_tree) { closed("A_organic/hand_closed/hand_closed.obj", 0.025); }
