@@ -10,6 +10,7 @@
 #include "fmt_svo.h"
 #include "svo_shard.h"
 #include "svo_voxelize.h"
+#include "voxelize_cells.h"
 #include "voxelize_estimate.h"
 #include "voxelize_join.h"
 #include "voxelize_shard.h"
@@ -39,6 +40,8 @@ typedef struct tool_options {
     const char *temp;
     uint64_t temp_size;
     bool dry_run, ignore_free_space;
+    double threshold;
+    bool has_threshold;
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
@@ -396,6 +399,8 @@ int main(int argc, char **argv)
          .help = "With --report: voxels whose attributes are compared with 4096 samples each of the surface inside them."},
         {.name = "disk", .kind = CLI_CHOICE, .value = &o.disk, .choices = disks, .argument = "FORM",
          .help = "Form of the file: fast to read and write, or small (geometry about a third of the bytes, 10 times the time)."},
+        {.name = "threshold", .kind = CLI_DOUBLE, .value = &o.threshold, .argument = "X", .seen = &o.has_threshold, .no_default = true,
+         .help = "Of a NRRD volume: cells with at least this value are voxels; without it, those above 0."},
         {.name = "shard", .kind = CLI_TEXT, .value = &o.shard, .argument = "i/N", .no_default = true,
          .help = "Make only part i of N (1..N) of the octree, to be joined by svo-merge; auto takes i and N from a Slurm job array."},
         {.name = "temp", .kind = CLI_TEXT, .value = &o.temp, .argument = "DIR", .no_default = true,
@@ -420,7 +425,7 @@ int main(int argc, char **argv)
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "Reads .gltf .glb .obj .ply .stl .off .drc; several inputs are placed together in one grid. Vertices are snapped to 1/128 voxel, "
-                   "then the voxels are exactly those that the triangles meet.",
+                   "then the voxels are exactly those that the triangles meet. Voxels of .vox, binvox and NRRD files (one alone) are taken as they are.",
         .example = "svo-voxelize model.glb -o model.svo --depth 10\nsvo-voxelize a.obj b.obj -o both.svo --voxel-size 0.01 --attributes none",
         .min_inputs = 1,
         .max_inputs = -1,
@@ -441,13 +446,22 @@ int main(int argc, char **argv)
     }
     if (o.depfile != NULL && !o.key && !o.dry_run && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
+    svo_error err = {0};
+    if (voxelize_is_cells(c.inputs[0])) {
+        if (c.input_count != 1 || o.has_size || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
+            return cli_usage(&c, "a file of voxels is taken alone and as it is, without --voxel-size, --fill, --surface, --shard and --dry-run");
+        cells_options cells = {.depth = (uint32_t)o.depth, .has_depth = o.has_depth, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
+                               .attributes = o.attributes, .depfile = o.depfile, .level = (int)o.level};
+        svo_result taken = voxelize_cells(&c, &cells, &err);
+        return cli_end(&c, taken, &err);
+    }
+    if (o.has_threshold) return cli_usage(&c, "--threshold is for NRRD volumes");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
     if (strstr(o.attributes, "bone") != NULL)
         return cli_usage(&c, "a bone channel is made by svo-skeleton --bind");
     if ((code = cli_take_channels(&c, o.attributes, &o.channels)) >= 0) return code;
     for (int i = 0; i < c.input_count; i++)
         if (strcmp(c.inputs[i], "-") == 0) return cli_usage(&c, "meshes are read from files, not from stdin");
-    svo_error err = {0};
     svo_result r = run(&c, &o, &err);
     return cli_end(&c, r, &err);
 }

@@ -1,0 +1,329 @@
+/* binvox (Patrick Min's run-length code), NRRD (teem's description of the header), and what all voxel files have in common; .vox is in import_vox.c. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "fmt_container.h"
+#include "import_text.h"
+#include "import_vox.h"
+#include "svo_morton.h"
+
+static const uint64_t MOST = (uint64_t)1 << 31;
+
+bool fmt_is_voxels(const uint8_t *data, uint64_t size)
+{
+    return size >= 8 && (memcmp(data, "VOX ", 4) == 0 || memcmp(data, "#binvox", 7) == 0 || memcmp(data, "NRRD000", 7) == 0);
+}
+
+svo_result import_cell(fmt_voxels *v, uint32_t x, uint32_t y, uint32_t z, const uint8_t *rgb, svo_error *err)
+{
+    fmt_cell c = {{x, y, z}, {255, 255, 255, 255}};
+    if (rgb != NULL) memcpy(c.rgb, rgb, 3);
+    if (v->cells.size / sizeof c >= MOST) return svo_fail(err, SVO_LIMIT, "more than 2^31 voxels");
+    if (svo_buffer_append(&v->cells, &c, sizeof c) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the voxels");
+    return SVO_OK;
+}
+
+/* --- text headers --- */
+
+/* The next line of a header, without its end; NULL when there is none, or it is too long. */
+static const char *next_line(const uint8_t *data, uint64_t size, uint64_t *at, char line[1024])
+{
+    uint64_t end = *at;
+    while (end < size && data[end] != '\n') end++;
+    uint64_t n = end - *at;
+    if (end == size || n >= 1024) return NULL;
+    memcpy(line, data + *at, n);
+    if (n > 0 && line[n - 1] == '\r') n--;
+    line[n] = 0;
+    *at = end + 1;
+    return line;
+}
+
+/* Up to `most` numbers; blanks, commas and brackets are between them. Returns how many, -1 when there is something else. */
+static int numbers(const char *text, double *out, int most)
+{
+    int n = 0;
+    for (;;) {
+        text += strspn(text, " \t,()");
+        if (*text == 0) return n;
+        size_t length = strcspn(text, " \t,()");
+        if (n == most || !import_number_slow(text, text + length, false, &out[n]) || !isfinite(out[n])) return -1;
+        text += length;
+        n++;
+    }
+}
+
+static bool sizes_of(const double *v, int n, uint64_t out[3])
+{
+    uint64_t cells = 1;
+    for (int k = 0; k < n; k++) {
+        if (!(v[k] >= 1 && v[k] <= 1 << 21 && v[k] == floor(v[k]))) return false;
+        out[k] = (uint64_t)v[k];
+        cells *= out[k]; /* at most 2^63 */
+    }
+    return cells != 0;
+}
+
+static void place(fmt_voxels *v, double dx, double dy, double dz, const double low[3])
+{
+    const double m[16] = {dx, 0, 0, low[0], 0, dy, 0, low[1], 0, 0, dz, low[2], 0, 0, 0, 1};
+    memcpy(v->to_world, m, sizeof m);
+}
+
+/* --- binvox --- */
+
+static svo_result read_binvox(const uint8_t *data, uint64_t size, fmt_voxels *v, svo_error *err)
+{
+    char line[1024];
+    uint64_t at = 0, dim[3] = {0};
+    double d[3], translate[3] = {0, 0, 0}, scale = 1;
+    bool begun = false;
+    while (!begun && next_line(data, size, &at, line) != NULL) {
+        bool good = true;
+        if (strncmp(line, "dim ", 4) == 0) good = numbers(line + 4, d, 3) == 3 && sizes_of(d, 3, dim);
+        else if (strncmp(line, "translate ", 10) == 0) good = numbers(line + 10, translate, 3) == 3;
+        else if (strncmp(line, "scale ", 6) == 0) good = numbers(line + 6, &scale, 1) == 1 && scale > 0;
+        else if (strcmp(line, "data") == 0) begun = true;
+        if (!good) return svo_fail(err, SVO_INVALID_DATA, "binvox header: \"%.60s\" is wrong", line);
+    }
+    if (!begun || dim[0] == 0) return svo_fail(err, SVO_INVALID_DATA, "the binvox header has no \"dim\" or no \"data\"");
+    uint64_t total = dim[0] * dim[1] * dim[2], i = 0;
+    for (; i < total && at + 2 <= size; at += 2) {
+        uint8_t value = data[at], count = data[at + 1];
+        if (value > 1 || count == 0 || count > total - i)
+            return svo_fail(err, SVO_INVALID_DATA, "byte %llu: a run that cannot be (value %u, length %u)", (unsigned long long)at, value, count);
+        for (uint64_t k = i; value == 1 && k < i + count; k++) /* y is fastest, then z, then x */
+            SVO_TRY(import_cell(v, (uint32_t)(k / (dim[1] * dim[2])), (uint32_t)(k % dim[2]), (uint32_t)(k / dim[2] % dim[1]), NULL, err));
+        i += count;
+    }
+    if (i != total) return svo_fail(err, SVO_INVALID_DATA, "the file ends after %llu of %llu voxels", (unsigned long long)i, (unsigned long long)total);
+    double most = (double)(dim[0] > dim[1] ? dim[0] > dim[2] ? dim[0] : dim[2] : dim[1] > dim[2] ? dim[1] : dim[2]);
+    place(v, scale / most, scale / most, scale / most, translate);
+    return SVO_OK;
+}
+
+/* --- NRRD --- */
+
+typedef struct nrrd {
+    uint32_t bytes;
+    bool is_signed, is_float, big, rgba, raw, has_type, has_sizes, has_dimension, has_directions;
+    uint64_t size[4];
+    int dimension;
+    double directions[9], origin[3];
+} nrrd;
+
+static bool read_type(const char *t, nrrd *n)
+{
+    static const struct { const char *names[8]; uint32_t bytes; bool is_signed, is_float; } types[] = {
+        {{"signed char", "int8", "int8_t"}, 1, true, false}, {{"uchar", "unsigned char", "uint8", "uint8_t"}, 1, false, false},
+        {{"short", "short int", "signed short", "signed short int", "int16", "int16_t"}, 2, true, false},
+        {{"ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"}, 2, false, false},
+        {{"int", "signed int", "int32", "int32_t"}, 4, true, false}, {{"uint", "unsigned int", "uint32", "uint32_t"}, 4, false, false},
+        {{"float"}, 4, true, true}, {{"double"}, 8, true, true}};
+    for (size_t i = 0; i < sizeof types / sizeof types[0]; i++)
+        for (int k = 0; k < 8 && types[i].names[k] != NULL; k++)
+            if (strcmp(types[i].names[k], t) == 0) {
+                n->bytes = types[i].bytes, n->is_signed = types[i].is_signed, n->is_float = types[i].is_float;
+                return true;
+            }
+    return false;
+}
+
+static svo_result read_field(const char *line, nrrd *n, svo_error *err)
+{
+    const char *colon = strstr(line, ": ");
+    if (line[0] == '#' || strstr(line, ":=") != NULL) return SVO_OK;
+    if (colon == NULL) return svo_fail(err, SVO_INVALID_DATA, "NRRD header: \"%.60s\" is no field", line);
+    const char *value = colon + 2;
+    size_t key = (size_t)(colon - line);
+#define IS(word) (key == strlen(word) && memcmp(line, word, key) == 0)
+    bool good = true;
+    double v[9];
+    if (IS("type")) {
+        good = n->has_type = read_type(value, n);
+    } else if (IS("dimension")) {
+        good = n->has_dimension = numbers(value, v, 1) == 1 && (v[0] == 3 || v[0] == 4);
+        n->dimension = good ? (int)v[0] : 0;
+    } else if (IS("sizes")) {
+        int count = numbers(value, v, 4);
+        good = n->has_sizes = n->has_dimension && count == n->dimension;
+        if (good && count == 4) {
+            n->rgba = true;
+            good = v[0] == 4 && sizes_of(v + 1, 3, n->size);
+        } else if (good) {
+            good = sizes_of(v, 3, n->size);
+        }
+    } else if (IS("endian")) {
+        n->big = strcmp(value, "big") == 0;
+        good = n->big || strcmp(value, "little") == 0;
+    } else if (IS("encoding")) {
+        n->raw = strcmp(value, "raw") == 0;
+        if (!n->raw) return svo_fail(err, SVO_UNSUPPORTED, "NRRD encoding \"%.40s\"; only raw is read (unu save -e raw makes it)", value);
+    } else if (IS("space directions")) {
+        const char *vectors = strncmp(value, "none ", 5) == 0 ? value + 5 : value;
+        good = n->has_directions = numbers(vectors, n->directions, 9) == 9;
+    } else if (IS("spacings") && !n->has_directions) {
+        int count = numbers(value, v, 4), skip = count == 4;
+        good = count == 3 || count == 4;
+        for (int k = 0; k < 3 && good; k++) n->directions[4 * k] = v[k + skip];
+        n->has_directions = good;
+    } else if (IS("space origin")) {
+        good = numbers(value, n->origin, 3) == 3;
+    } else if (IS("data file") || IS("datafile") || IS("byte skip") || IS("byteskip") || IS("line skip") || IS("lineskip")) {
+        return svo_fail(err, SVO_UNSUPPORTED, "NRRD field \"%.20s\": only files with their data in them are read", line);
+    }
+#undef IS
+    return good ? SVO_OK : svo_fail(err, SVO_INVALID_DATA, "NRRD header: \"%.80s\" is wrong, or not a volume of 3 axes (4 with red, green, blue, alpha first)", line);
+}
+
+static double sample(const nrrd *n, const uint8_t *p)
+{
+    uint64_t u = 0;
+    for (uint32_t i = 0; i < n->bytes; i++) u |= (uint64_t)p[i] << 8 * (n->big ? n->bytes - 1 - i : i);
+    if (n->is_float && n->bytes == 8) {
+        double d;
+        memcpy(&d, &u, 8);
+        return d;
+    }
+    uint32_t w = (uint32_t)u;
+    if (n->is_float) {
+        float f;
+        memcpy(&f, &w, 4);
+        return (double)f;
+    }
+    if (!n->is_signed) return (double)w;
+    return n->bytes == 1 ? (double)(int8_t)w : n->bytes == 2 ? (double)(int16_t)w : (double)(int32_t)w;
+}
+
+static svo_result read_nrrd(const uint8_t *data, uint64_t size, const double *threshold, fmt_voxels *v, svo_error *err)
+{
+    nrrd n = {.directions = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
+    char line[1024];
+    uint64_t at = 0;
+    next_line(data, size, &at, line); /* NRRD000x */
+    for (;;) {
+        if (next_line(data, size, &at, line) == NULL) return svo_fail(err, SVO_INVALID_DATA, "the NRRD header has no end, or a line that is too long");
+        if (line[0] == 0) break;
+        SVO_TRY(read_field(line, &n, err));
+    }
+    if (!n.has_type || !n.has_sizes || !n.raw) return svo_fail(err, SVO_INVALID_DATA, "the NRRD header has no type, sizes or encoding");
+    if (n.rgba && (n.bytes != 1 || n.is_signed)) return svo_fail(err, SVO_UNSUPPORTED, "NRRD with 4 axes: only red, green, blue, alpha of type uint8 are read");
+    uint64_t total = n.size[0] * n.size[1] * n.size[2], width = n.rgba ? 4 : n.bytes;
+    if (total > (size - at) / width || (size - at) != total * width)
+        return svo_fail(err, SVO_INVALID_DATA, "%llu x %llu x %llu samples of %llu bytes are not the %llu bytes that are there", (unsigned long long)n.size[0], (unsigned long long)n.size[1],
+                        (unsigned long long)n.size[2], (unsigned long long)width, (unsigned long long)(size - at));
+    v->colored = n.rgba;
+    for (uint64_t i = 0; i < total; i++) {
+        const uint8_t *p = data + at + i * width;
+        double value = n.rgba ? p[3] : sample(&n, p);
+        if (!(threshold != NULL ? value >= *threshold : value > 0)) continue;
+        SVO_TRY(import_cell(v, (uint32_t)(i % n.size[0]), (uint32_t)(i / n.size[0] % n.size[1]), (uint32_t)(i / (n.size[0] * n.size[1])), n.rgba ? p : NULL, err));
+    }
+    const double *d = n.directions; /* d[3 axis + row] */
+    for (int r = 0; r < 3; r++) {
+        for (int k = 0; k < 3; k++) v->to_world[4 * r + k] = d[3 * k + r];
+        v->to_world[4 * r + 3] = n.origin[r] - 0.5 * (d[r] + d[3 + r] + d[6 + r]); /* samples are cell centres */
+    }
+    v->to_world[15] = 1;
+    return SVO_OK;
+}
+
+/* --- what they have in common --- */
+
+static int by_code(const void *a, const void *b)
+{
+    const fmt_cell *x = a, *y = b;
+    uint64_t p = svo_morton_encode(x->at[0], x->at[1], x->at[2]), q = svo_morton_encode(y->at[0], y->at[1], y->at[2]);
+    if (p != q) return p < q ? -1 : 1;
+    return memcmp(x->rgb, y->rgb, 4);
+}
+
+static void settle(fmt_voxels *v)
+{
+    fmt_cell *c = (fmt_cell *)(void *)v->cells.data;
+    uint64_t count = v->cells.size / sizeof *c, kept = 0;
+    if (count != 0) qsort(c, count, sizeof *c, by_code);
+    for (uint64_t i = 0; i < count; i++) {
+        if (kept > 0 && memcmp(c[kept - 1].at, c[i].at, sizeof c->at) == 0) continue;
+        c[kept++] = c[i];
+        for (int k = 0; k < 3; k++) v->side = c[i].at[k] + 1 > v->side ? c[i].at[k] + 1 : v->side;
+    }
+    v->cells.size = kept * sizeof *c;
+}
+
+svo_result fmt_import_voxels(const uint8_t *data, uint64_t size, const double *threshold, const svo_allocator *a, fmt_voxels *out, svo_error *err)
+{
+    memset(out, 0, sizeof *out);
+    svo_buffer_init(&out->cells, a);
+    svo_result r;
+    if (!fmt_is_voxels(data, size)) r = svo_fail(err, SVO_INVALID_DATA, "no .vox, binvox or NRRD file");
+    else if (data[0] == 'V') r = import_vox(data, size, a, out, err);
+    else if (data[0] == '#') r = read_binvox(data, size, out, err);
+    else r = read_nrrd(data, size, threshold, out, err);
+    if (r == SVO_OK) settle(out);
+    else svo_buffer_free(&out->cells);
+    return r;
+}
+
+/* --- to an octree --- */
+
+typedef struct emitter {
+    const fmt_cell *cell;
+    uint32_t depth;
+    svo_buffer masks, values;
+    bool failed;
+} emitter;
+
+static uint64_t code_of(const fmt_cell *c) { return svo_morton_encode(c->at[0], c->at[1], c->at[2]); }
+
+/* Masks of a node of `level` and below, depth first; its voxels are [begin, end). At most SVO_CHUNK_LEVELS deep. */
+static void add_masks(emitter *e, uint32_t level, uint64_t begin, uint64_t end)
+{
+    if (level == e->depth) return;
+    uint64_t first[9];
+    uint32_t shift = 3 * (e->depth - level - 1);
+    uint8_t mask = 0;
+    uint64_t i = begin;
+    for (uint32_t o = 0; o < 8; o++) {
+        first[o] = i;
+        while (i < end && (code_of(&e->cell[i]) >> shift & 7) == o) i++;
+        if (i > first[o]) mask = (uint8_t)(mask | 1u << o);
+    }
+    first[8] = i;
+    if (svo_buffer_append(&e->masks, &mask, 1) == NULL) e->failed = true;
+    for (uint32_t o = 0; o < 8 && !e->failed; o++)
+        if (first[o + 1] > first[o]) add_masks(e, level + 1, first[o], first[o + 1]);
+}
+
+svo_result fmt_voxels_emit(const fmt_voxels *v, const svo_tree_info *info, const svo_chunk_sink *sink, svo_error *err)
+{
+    emitter e = {.cell = (const fmt_cell *)(const void *)v->cells.data, .depth = info->depth};
+    uint64_t count = v->cells.size / sizeof *e.cell;
+    uint32_t level = svo_chunk_level(info->depth), shift = 3 * (info->depth - level);
+    svo_result r = SVO_OK;
+    svo_buffer_init(&e.masks, v->cells.allocator);
+    svo_buffer_init(&e.values, v->cells.allocator);
+    bool values = info->channel_count == 1 && !info->channels[0].constant;
+    for (uint64_t begin = 0, end; begin < count && r == SVO_OK; begin = end) {
+        svo_chunk chunk = {.code = code_of(&e.cell[begin]) >> shift, .level = level, .depth = info->depth};
+        for (end = begin; end < count && code_of(&e.cell[end]) >> shift == chunk.code; end++) {}
+        e.masks.size = e.values.size = 0;
+        add_masks(&e, level, begin, end);
+        for (uint64_t i = begin; values && i < end && !e.failed; i++) e.failed = svo_buffer_append(&e.values, e.cell[i].rgb, 3) == NULL;
+        if (e.failed) {
+            r = svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a part of the octree");
+            break;
+        }
+        chunk.node_count = e.masks.size;
+        chunk.value_count = end - begin;
+        chunk.masks = e.masks.data;
+        if (values) chunk.channels[0] = e.values.data;
+        void *blob = NULL;
+        r = sink->encode(sink->user, &chunk, 0, &blob, err);
+        if (r == SVO_OK) r = sink->commit(sink->user, blob, err);
+    }
+    svo_buffer_free(&e.masks);
+    svo_buffer_free(&e.values);
+    return r;
+}
