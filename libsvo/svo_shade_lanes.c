@@ -118,6 +118,10 @@ static void read_finest(const svo_pyramid *p, const svo_texture *how, svoi_lanes
             x0 = wrapped(ix, w, how->wrap_u), x1 = wrapped(ix + 1, w, how->wrap_u);
             y0 = wrapped(iy, h, how->wrap_v), y1 = wrapped(iy + 1, h, how->wrap_v);
         }
+        if (p->outside) {
+            const uint32_t corner[4][2] = {{x0, y0}, {x1, y0}, {x0, y1}, {x1, y1}};
+            for (int k = 0; k < 4; k++) svo_image_touch(p->image, corner[k][0], corner[k][1], 1);
+        }
         const uint8_t *top = pixels + 4 * (uint64_t)y0 * w, *bottom = pixels + 4 * (uint64_t)y1 * w;
         texel4 a, b, c, d;
         load_texel(p, top + 4 * (uint64_t)x0, &a);

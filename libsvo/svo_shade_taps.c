@@ -80,6 +80,16 @@ static inline void load_pair(const svo_pyramid *p, uint32_t level, uint64_t at, 
     }
 }
 
+/* Two rows of two texels where the image is not all in memory. */
+static __attribute__((noinline)) void touch(const svo_pyramid *p, uint32_t level, uint64_t at)
+{
+    const uint32_t w = p->width[level];
+    for (uint64_t row = at; row <= at + w; row += w) {
+        if (level == 0) svo_image_touch(p->image, (uint32_t)(row % w), (uint32_t)(row / w), 2);
+        else svo_paged_touch(p->paged, p->texels[level] + 4 * row, 16);
+    }
+}
+
 /* The mean of a plan's readings around a point of the image. False where one of them may reach beyond the level's edge. */
 static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, const plan *n, const double at[2], float out[4])
 {
@@ -102,6 +112,7 @@ static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, con
             const float fx = x - (float)ix, fy = y - (float)iy, rx = 1 - fx;
             const uint64_t texel = origin + (uint64_t)(uint32_t)iy * w + (uint32_t)ix;
             pair upper, lower;
+            if (p->outside) touch(p, n->level, texel);
             load_pair(p, n->level, texel, &upper);
             load_pair(p, n->level, texel + w, &lower);
             upper += (lower - upper) * fy;
