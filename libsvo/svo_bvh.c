@@ -413,6 +413,7 @@ svo_result svo_bvh_build(const svo_scene *scene, uint32_t threads, const svo_all
 void svo_bvh_free(svo_bvh *b)
 {
     if (b == NULL) return;
+    svo_rays_free(b->single);
     svo_free(b->allocator, b->placed, b->placed_capacity, sizeof *b->placed);
     svo_free(b->allocator, b->nodes, b->node_capacity, sizeof *b->nodes);
     svo_free(b->allocator, b, 1, sizeof *b);
@@ -423,4 +424,18 @@ bool svo_bvh_bounds(const svo_bvh *b, double low[3], double high[3])
     if (b->placed_count == 0) return false;
     for (int k = 0; k < 3; k++) low[k] = b->centre[k] + b->nodes[0].low[k], high[k] = b->centre[k] + b->nodes[0].high[k];
     return true;
+}
+
+svo_result svo_bvh_use_rays(svo_bvh *b, const svo_rays_options *options, svo_rays_report *report, svo_error *err)
+{
+    if (report != NULL) memset(report, 0, sizeof *report);
+    if (b->placed_count != 1 || b->single != NULL) return SVO_OK;
+    svo_rays_report made;
+    SVO_TRY(svo_rays_build(svo_bvh_view(b, 0), options, &b->single, &made, err));
+    if (made.kernel == SVO_KERNEL_PORTABLE) { /* the ordinary way is the same, and remembers nodes from call to call */
+        svo_rays_free(b->single);
+        b->single = NULL;
+    }
+    if (report != NULL) *report = made;
+    return SVO_OK;
 }

@@ -3,7 +3,7 @@
 #ifndef SVO_BVH_H
 #define SVO_BVH_H
 
-#include "svo_raycast.h"
+#include "svo_rays.h"
 #include "svo_scene.h"
 
 #ifdef __cplusplus
@@ -35,6 +35,10 @@ typedef struct svo_bvh svo_bvh;
 svo_result svo_bvh_build(const svo_scene *scene, uint32_t threads, const svo_allocator *a, svo_warnings *warnings, svo_bvh **out,
                          svo_bvh_report *report, svo_error *err);
 void svo_bvh_free(svo_bvh *bvh);
+
+/* Trace many rays at a time where the scene has one instance that can be hit (svo_rays.h); nothing changes but the time it takes.
+ * Scenes of several instances are left as they are. report: zero where nothing was made; may be NULL. */
+svo_result svo_bvh_use_rays(svo_bvh *bvh, const svo_rays_options *options, svo_rays_report *report, svo_error *err);
 
 /* Box around everything that can be hit, tight to the voxels but for rotated instances; false when there is nothing. */
 bool svo_bvh_bounds(const svo_bvh *bvh, double low[3], double high[3]);

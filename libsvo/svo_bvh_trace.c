@@ -118,8 +118,35 @@ static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, svo
     }
 }
 
+/* The one instance's grid, many rays at a time: hits or blocked is NULL. */
+static void trace_single(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits, bool *blocked)
+{
+    enum { SOME = 256 };
+    svo_ray grid[SOME];
+    svo_hit found[SOME];
+    for (uint32_t i = 0; i < count; i += SOME) {
+        uint32_t n = count - i < SOME ? count - i : SOME;
+        for (uint32_t k = 0; k < n; k++) grid[k] = svo_bvh_grid_ray(b, 0, &rays[i + k]);
+        if (blocked != NULL) {
+            svo_rays_blocked(b->single, grid, n, blocked + i);
+            continue;
+        }
+        svo_rays_cast(b->single, grid, n, found);
+        for (uint32_t k = 0; k < n; k++) {
+            memset(&hits[i + k], 0, sizeof hits[i + k]);
+            if (found[k].hit) hits[i + k].node = found[k];
+        }
+    }
+}
+
+enum { FEW = 4 }; /* rays that are not worth the lanes */
+
 void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits)
 {
+    if (b->single != NULL && count > FEW) {
+        trace_single(b, rays, count, hits, NULL);
+        return;
+    }
     svoi_ray_cache cache;
     svoi_ray_cache_init(&cache, count);
     for (uint32_t i = 0; i < count; i++) {
@@ -130,6 +157,10 @@ void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count
 
 void svo_scene_blocked_many(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, bool *blocked)
 {
+    if (b->single != NULL && count > FEW) {
+        trace_single(b, rays, count, NULL, blocked);
+        return;
+    }
     svo_scene_hit unused;
     svoi_ray_cache cache;
     svoi_ray_cache_init(&cache, count);

@@ -1,5 +1,5 @@
 #define _POSIX_C_SOURCE 200809L
-#include "svo_render.h"
+#include "svoi_render.h"
 
 #include <math.h>
 #include <string.h>
@@ -143,32 +143,7 @@ svo_vec3 svo_render_shadow_origin(const svo_bvh *bvh, const svo_scene_hit *hit, 
 
 /* ---- shading ------------------------------------------------------------------------------------------------------ */
 
-/* Channels of an asset that shading uses; SVO_MAX_CHANNELS = not there. */
-typedef struct asset_channels { uint32_t color, normal, emissive; } asset_channels;
-
-enum { TILE = 16, TILE_PIXELS = TILE * TILE };
-
-/* What one thread needs; results are sums and extremes, the same for every division of work but for the seconds. */
-typedef struct worker {
-    svo_scene_ray rays[TILE_PIXELS], shadow_rays[TILE_PIXELS];
-    svo_scene_hit hits[TILE_PIXELS];
-    float sum[TILE_PIXELS][4]; /* linear light times coverage, and coverage */
-    svo_vec3 normals[TILE_PIXELS];
-    svo_render_stats stats;
-} worker;
-
-typedef struct renderer {
-    const svo_bvh *bvh;
-    const svo_scene *scene;
-    const svo_render_options *o;
-    uint8_t *pixels;
-    asset_channels *channels;
-    svo_vec3 light;
-    worker *workers;
-    uint64_t tiles_x, tiles;
-} renderer;
-
-static double thread_seconds(void)
+double svoi_thread_seconds(void)
 {
     struct timespec t;
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
@@ -181,7 +156,7 @@ static uint32_t find_channel(const svo_view *v, const char *name, svo_channel_ki
     return c < v->channel_count && v->channels[c].channel.kind == kind ? c : SVO_MAX_CHANNELS;
 }
 
-static bool channel_color(const svo_view *v, uint32_t channel, uint64_t index, float rgb[3])
+bool svoi_render_color(const svo_view *v, uint32_t channel, uint64_t index, float rgb[3])
 {
     uint8_t value[SVO_MAX_STRIDE];
     if (channel == SVO_MAX_CHANNELS) return false;
@@ -191,7 +166,7 @@ static bool channel_color(const svo_view *v, uint32_t channel, uint64_t index, f
 }
 
 /* Unit normal of the surface at a hit, towards the viewer where that is in doubt. */
-static svo_vec3 surface_normal(const renderer *r, const svo_scene_ray *ray, const svo_scene_hit *hit)
+svo_vec3 svoi_render_normal(const renderer *r, const svo_scene_ray *ray, const svo_scene_hit *hit)
 {
     const svo_placed *p = svo_bvh_item(r->bvh, hit->item);
     const svo_view *v = svo_bvh_view(r->bvh, hit->item);
@@ -228,14 +203,15 @@ static void measure_stop(const renderer *r, const svo_scene_ray *ray, const svo_
 }
 
 /* One sample of every pixel of a tile: trace all, then all shadow rays, then add up. */
-static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny, double sx, double sy)
+static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny, uint32_t sample)
 {
+    const double sx = (sample % r->o->samples + 0.5) / r->o->samples, sy = (sample / r->o->samples + 0.5) / r->o->samples;
     const svo_render_options *o = r->o;
     uint32_t count = nx * ny;
     for (uint32_t i = 0; i < count; i++) w->rays[i] = svo_render_ray(o, x0 + i % nx + sx, y0 + i / nx + sy);
-    double t0 = thread_seconds();
+    double t0 = svoi_thread_seconds();
     svo_scene_trace(r->bvh, w->rays, count, w->hits);
-    double t1 = thread_seconds();
+    double t1 = svoi_thread_seconds();
     w->stats.primary_seconds += t1 - t0;
     w->stats.primary += count;
 
@@ -251,10 +227,10 @@ static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, 
         const svo_view *v = svo_bvh_view(r->bvh, hit->item);
         w->stats.lod_stops += hit->node.level < v->depth;
         if (o->measure && o->footprint > 0 && v->lod) measure_stop(r, &w->rays[i], hit, &w->stats);
-        w->normals[i] = surface_normal(r, &w->rays[i], hit);
+        w->normals[i] = svoi_render_normal(r, &w->rays[i], hit);
         direct[i] = (float)fmax(0, svo_dot(w->normals[i], r->light));
     }
-    double t2 = thread_seconds();
+    double t2 = svoi_thread_seconds();
     if (o->shadows) {
         uint32_t pixel[TILE_PIXELS], shadows = 0;
         bool blocked[TILE_PIXELS];
@@ -274,22 +250,56 @@ static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, 
             direct[pixel[i]] = 0;
         }
     }
-    double t3 = thread_seconds();
+    double t3 = svoi_thread_seconds();
     w->stats.shadow_seconds += t3 - t2;
+    if (o->bounce != 0 || o->reflections) svoi_render_secondary(r, w, x0, y0, nx, count, sample);
+    double t4 = svoi_thread_seconds();
+    w->stats.secondary_seconds += t4 - t3;
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->hits[i];
         if (!hit->node.hit) continue;
         const svo_view *v = svo_bvh_view(r->bvh, hit->item);
         const asset_channels *c = &r->channels[svo_bvh_item(r->bvh, hit->item)->asset];
         float albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
-        channel_color(v, c->color, hit->node.attribute, albedo);
-        channel_color(v, c->emissive, hit->node.attribute, emissive);
+        svoi_render_color(v, c->color, hit->node.attribute, albedo);
+        svoi_render_color(v, c->emissive, hit->node.attribute, emissive);
         /* the sky is brighter than the ground */
-        float light = (float)(o->ambient * (0.75 + 0.25 * w->normals[i].y) + (1 - o->ambient) * direct[i]);
-        for (int k = 0; k < 3; k++) w->sum[i][k] += albedo[k] * light + emissive[k];
+        float plain = (float)(0.75 + 0.25 * w->normals[i].y), ambient = (float)o->ambient;
+        for (int k = 0; k < 3; k++) {
+            float light = ambient * (o->bounce != 0 ? w->around[i][k] : plain) + (1 - ambient) * direct[i], out = albedo[k] * light;
+            if (o->reflections) out += w->mirrored[i][3] * (w->mirrored[i][k] - out);
+            w->sum[i][k] += out + emissive[k];
+        }
         w->sum[i][3] += 1;
     }
-    w->stats.shade_seconds += t2 - t1 + thread_seconds() - t3;
+    w->stats.shade_seconds += t2 - t1 + svoi_thread_seconds() - t4;
+}
+
+static void store_planes(const renderer *r, const worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny)
+{
+    const svo_render_planes *p = r->planes;
+    for (uint32_t i = 0; i < nx * ny; i++) {
+        const svo_scene_hit *hit = &w->hits[i];
+        uint64_t at = (uint64_t)(y0 + i / nx) * r->o->width + x0 + i % nx;
+        bool is = hit->node.hit;
+        if (p->depth != NULL) p->depth[at] = is ? (float)hit->node.t : INFINITY;
+        if (p->normal != NULL) {
+            p->normal[3 * at] = is ? (float)w->normals[i].x : 0;
+            p->normal[3 * at + 1] = is ? (float)w->normals[i].y : 0;
+            p->normal[3 * at + 2] = is ? (float)w->normals[i].z : 0;
+        }
+        if (p->level != NULL) p->level[at] = is ? hit->node.level : UINT32_MAX;
+        if (p->instance != NULL) p->instance[at] = is ? (uint32_t)r->scene->instance_id[svo_bvh_item(r->bvh, hit->item)->instance] : UINT32_MAX;
+        if (p->bone == NULL) continue;
+        uint32_t channel = is ? r->channels[svo_bvh_item(r->bvh, hit->item)->asset].bone : SVO_MAX_CHANNELS;
+        p->bone[at] = UINT32_MAX;
+        if (channel == SVO_MAX_CHANNELS) continue;
+        uint8_t value[SVO_MAX_STRIDE];
+        const svo_view *v = svo_bvh_view(r->bvh, hit->item);
+        svo_view_attribute(v, channel, hit->node.attribute, value);
+        p->bone[at] = (uint32_t)value[0] | (uint32_t)value[1] << 8;
+        if (v->channels[channel].channel.kind == SVO_KIND_ID32) p->bone[at] |= (uint32_t)value[2] << 16 | (uint32_t)value[3] << 24;
+    }
 }
 
 static void store_tile(const renderer *r, const worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny)
@@ -300,6 +310,8 @@ static void store_tile(const renderer *r, const worker *w, uint32_t x0, uint32_t
         uint32_t x = x0 + i % nx, y = y0 + i / nx;
         uint8_t *out = r->pixels + 4 * ((uint64_t)y * o->width + x);
         const float *s = w->sum[i];
+        if (r->planes != NULL && r->planes->light != NULL)
+            for (int k = 0; k < 4; k++) r->planes->light[4 * ((uint64_t)y * o->width + x) + (uint32_t)k] = s[k] / total;
         double height = (y + 0.5) / o->height;
         for (int k = 0; k < 3; k++) {
             float back = (float)(o->background_top[k] * (1 - height) + o->background_bottom[k] * height), c;
@@ -321,18 +333,20 @@ static svo_result render_tiles(void *user, uint64_t begin, uint64_t end, uint32_
         uint32_t x0 = (uint32_t)(tile % r->tiles_x) * TILE, y0 = (uint32_t)(tile / r->tiles_x) * TILE;
         uint32_t nx = o->width - x0 < TILE ? o->width - x0 : TILE, ny = o->height - y0 < TILE ? o->height - y0 : TILE;
         memset(w->sum, 0, sizeof w->sum);
-        for (uint32_t j = 0; j < o->samples; j++)
-            for (uint32_t i = 0; i < o->samples; i++)
-                sample_tile(r, w, x0, y0, nx, ny, (i + 0.5) / o->samples, (j + 0.5) / o->samples);
+        for (uint32_t i = 0; i < o->samples * o->samples; i++) {
+            sample_tile(r, w, x0, y0, nx, ny, i);
+            if (r->planes != NULL && i == o->samples * o->samples / 2) store_planes(r, w, x0, y0, nx, ny);
+        }
         store_tile(r, w, x0, y0, nx, ny);
     }
     if (index == 0 && o->progress != NULL) o->progress(o->user, (double)end / (double)r->tiles);
     return SVO_OK;
 }
 
-static void add_stats(svo_render_stats *to, const svo_render_stats *s)
+void svo_render_add_stats(svo_render_stats *to, const svo_render_stats *s)
 {
     to->primary += s->primary, to->hits += s->hits, to->shadow += s->shadow, to->blocked += s->blocked;
+    to->secondary += s->secondary, to->secondary_hits += s->secondary_hits, to->secondary_seconds += s->secondary_seconds;
     to->inside += s->inside, to->lod_stops += s->lod_stops;
     for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) to->levels[l] += s->levels[l];
     to->primary_seconds += s->primary_seconds, to->shadow_seconds += s->shadow_seconds, to->shade_seconds += s->shade_seconds;
@@ -343,11 +357,19 @@ static void add_stats(svo_render_stats *to, const svo_render_stats *s)
 svo_result svo_render(const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, uint8_t *pixels, svo_render_stats *stats,
                       svo_error *err)
 {
+    return svo_render_with_planes(bvh, scene, o, pixels, NULL, stats, err);
+}
+
+svo_result svo_render_with_planes(const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, uint8_t *pixels,
+                                  const svo_render_planes *planes, svo_render_stats *stats, svo_error *err)
+{
     if (o->width < 1 || o->height < 1 || o->width > 65536 || o->height > 65536 || (uint64_t)o->width * o->height > (uint64_t)1 << 28)
         return svo_fail(err, SVO_LIMIT, "a picture of %u x %u pixels is over the limit of 65536 a side and 2^28 in all", o->width, o->height);
-    renderer r = {.bvh = bvh, .scene = scene, .o = o, .pixels = pixels, .light = svo_normalize(o->light)};
+    renderer r = {.bvh = bvh, .scene = scene, .o = o, .pixels = pixels, .planes = planes, .light = svo_normalize(o->light)};
     if (o->samples < 1 || o->samples > 16 || svo_length(r.light) == 0 || !(o->ambient >= 0 && o->ambient <= 1) || !(o->footprint >= 0))
         return svo_fail(err, SVO_INVALID_ARGUMENT, "samples (1..16), light (not 0), ambient (0..1) or footprint (at least 0) is out of range");
+    if (o->bounce > 16 || !(o->reflectance >= 0 && o->reflectance <= 1))
+        return svo_fail(err, SVO_INVALID_ARGUMENT, "bounce (0..16) or reflectance (0..1) is out of range");
     r.tiles_x = (o->width + TILE - 1) / TILE;
     r.tiles = r.tiles_x * ((o->height + TILE - 1) / TILE);
     uint32_t threads = o->threads != 0 ? o->threads : svo_processor_count();
@@ -364,11 +386,15 @@ svo_result svo_render(const svo_bvh *bvh, const svo_scene *scene, const svo_rend
         r.channels[i].color = find_channel(v, "color", SVO_KIND_COLOR_SRGB8);
         r.channels[i].normal = find_channel(v, "normal", SVO_KIND_NORMAL_OCT32);
         r.channels[i].emissive = find_channel(v, "emissive", SVO_KIND_COLOR_SRGB8);
+        r.channels[i].metallic = find_channel(v, "metallic", SVO_KIND_UNORM8);
+        r.channels[i].roughness = find_channel(v, "roughness", SVO_KIND_UNORM8);
+        r.channels[i].bone = find_channel(v, "bone", SVO_KIND_ID16);
+        if (r.channels[i].bone == SVO_MAX_CHANNELS) r.channels[i].bone = find_channel(v, "bone", SVO_KIND_ID32);
     }
     svo_render_stats sum = {.parent_min = INFINITY};
     for (uint32_t t = 0; t < threads; t++) r.workers[t].stats.parent_min = INFINITY;
     result = svo_parallel_for(threads, r.tiles, 4, render_tiles, &r, err);
-    for (uint32_t t = 0; t < threads; t++) add_stats(&sum, &r.workers[t].stats);
+    for (uint32_t t = 0; t < threads; t++) svo_render_add_stats(&sum, &r.workers[t].stats);
     if (result == SVO_OK && stats != NULL) *stats = sum;
 done:
     if (r.workers != NULL) svo_free(o->allocator, r.workers, threads, sizeof *r.workers);

@@ -33,6 +33,10 @@ typedef struct svo_render_options {
     double ambient;         /* share of light that comes from everywhere, 0..1 */
     double footprint;       /* stop at nodes whose edge is at most this many samples wide; 0 = only at finest voxels */
     double background_top[3], background_bottom[3]; /* linear light */
+    /* Light that comes by way of other surfaces (Dado et al. 2016, section 2.5.6). */
+    uint32_t bounce;        /* a side: bounce * bounce stratified rays over the hemisphere of every primary hit, 0..16; 0: none */
+    bool reflections;       /* one ray in the mirror direction of the stored normal where the surface reflects */
+    double reflectance;     /* of surfaces without the channels metallic and roughness, 0..1; others: metallic * (1 - roughness) */
     bool transparent;       /* no background: alpha is the covered share of the pixel */
     bool measure;           /* verify the stop rule on every hit (costs some time) */
     uint32_t threads;       /* 0 = all */
@@ -42,13 +46,25 @@ typedef struct svo_render_options {
 } svo_render_options;
 svo_render_options svo_default_render_options(void);
 
+/* Planes of numbers beside the picture, width * height each, of the sample nearest to the pixel's middle; NULL: not wanted. Where
+ * nothing is hit: depth is infinite, the others 0 (normal) or UINT32_MAX. */
+typedef struct svo_render_planes {
+    float *light;     /* 4 a pixel: linear RGB times coverage, and coverage; of all samples */
+    float *depth;     /* along the view's axis, in scene units */
+    float *normal;    /* 3 a pixel: unit, scene */
+    uint32_t *level;  /* of the node that was hit */
+    uint32_t *instance; /* the lower 32 bits of its id */
+    uint32_t *bone;   /* value of the channel "bone"; UINT32_MAX without one */
+} svo_render_planes;
+
 typedef struct svo_render_stats {
     uint64_t primary, hits, shadow, blocked;
+    uint64_t secondary, secondary_hits; /* reflected and bounced rays; their shadow rays count as shadow */
     uint64_t inside;       /* primary rays that began inside a voxel */
     uint64_t lod_stops;    /* hits on inner nodes */
     uint64_t levels[SVO_MAX_DEPTH + 1]; /* hits by node level */
     /* seconds of thread time in tracing, summed over threads */
-    double primary_seconds, shadow_seconds, shade_seconds;
+    double primary_seconds, shadow_seconds, shade_seconds, secondary_seconds;
     /* With measure: edges in samples. The rule holds when stop_max <= footprint and parent_min > footprint. */
     double stop_max;       /* largest edge of an inner node a ray stopped at; 0 if there was none */
     double parent_min;     /* smallest edge of a parent of a hit node, where the ray enters the parent; INFINITY if none */
@@ -58,6 +74,11 @@ typedef struct svo_render_stats {
  * The picture does not depend on threads. */
 svo_result svo_render(const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *options, uint8_t *pixels,
                       svo_render_stats *stats, svo_error *err);
+svo_result svo_render_with_planes(const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *options, uint8_t *pixels,
+                                  const svo_render_planes *planes, svo_render_stats *stats, svo_error *err);
+
+/* Statistics of several pictures together: sums and extremes. Begin with all zero but parent_min = INFINITY. */
+void svo_render_add_stats(svo_render_stats *to, const svo_render_stats *s);
 
 /* The ray through a sample position, in pixels from the top left corner of the picture; its direction has length 1 along
  * the view's axis, so t is depth. */

@@ -11,6 +11,7 @@
 #include "fmt_svo.h"
 #include "render_pose.h"
 #include "svo_dag.h"
+#include "render_picture.h"
 #include "svo_render.h"
 
 /* What the user asked for. */
@@ -19,7 +20,10 @@ static struct {
     double eye[3], target[3], up[3], light[3], fov, ambient, footprint;
     bool eye_seen, target_seen, up_seen, fov_seen, no_shadows;
     uint64_t samples;
-    const char *deform, *save_svo;
+    const char *deform, *save_svo, *path;
+    uint64_t turntable, bounce;
+    double reflectance;
+    bool reflections;
     double delta;
     int resample;
 } ask = {.size = "1280x720", .background = "sky", .up = {0, 1, 0}, .light = {-0.45, 0.85, 0.65}, .fov = 40, .ambient = 0.35,
@@ -37,8 +41,13 @@ static const cli_option options[] = {
     {"target", 0, CLI_VEC3, ask.target, "x,y,z", "What it looks at (with --eye alone: the middle of the scene).", 0, 0, NULL, &ask.target_seen, true, "Camera"},
     {"up", 0, CLI_VEC3, ask.up, "x,y,z", "Which way is up in the picture.", 0, 0, NULL, &ask.up_seen, false, "Camera"},
     {"fov", 0, CLI_DOUBLE, &ask.fov, "DEG", "Vertical field of view in degrees.", 1e-3, 179, NULL, &ask.fov_seen, false, "Camera"},
+    {"turntable", 0, CLI_U64, &ask.turntable, "N", "N pictures once around the scene: OUT_0000.png ...; 0 = one picture.", 0, 100000, NULL, NULL, false, "Camera"},
+    {"path", 0, CLI_TEXT, &ask.path, "F", "A picture for every line \"ex ey ez tx ty tz [fov]\" of a text file.", 0, 0, NULL, NULL, true, "Camera"},
     {"light", 0, CLI_VEC3, ask.light, "x,y,z", "Direction towards the light.", 0, 0, NULL, NULL, false, "Light"},
     {"ambient", 0, CLI_DOUBLE, &ask.ambient, "A", "Share of the light that comes from everywhere.", 0, 1, NULL, NULL, false, "Light"},
+    {"bounce", 0, CLI_U64, &ask.bounce, "N", "Light by way of other surfaces: N x N rays over the hemisphere of every hit, in place of even ambient light.", 0, 16, NULL, NULL, false, "Light"},
+    {"reflections", 0, CLI_FLAG, &ask.reflections, NULL, "Mirror what metallic * (1 - roughness) reflects.", 0, 0, NULL, NULL, false, "Light"},
+    {"reflectance", 0, CLI_DOUBLE, &ask.reflectance, "R", "What surfaces without these channels reflect; above 0 it means --reflections.", 0, 1, NULL, NULL, false, "Light"},
     {"no-shadows", 0, CLI_FLAG, &ask.no_shadows, NULL, "Do not trace shadow rays.", 0, 0, NULL, NULL, false, "Light"},
     {"deform", 0, CLI_TEXT, &ask.deform, "D", "Deform every asset: twist=y:90, bend=yx:45, shear=xy:0.5, scale=1:2:1 (degrees; joined by commas), in place of its pose.", 0, 0,
      NULL, NULL, true, "Deformation"},
@@ -51,7 +60,7 @@ static const cli_option options[] = {
 static const cli_tool tool = {
     .name = "svo-render",
     .summary = "Ray-cast a picture of a packed scene or of one octree.",
-    .synopsis = "IN -o OUT.png [--size WxH] [--eye x,y,z --target x,y,z --fov DEG]",
+    .synopsis = "IN -o OUT.png|OUT.exr [--size WxH] [--eye x,y,z --target x,y,z --fov DEG]",
     .options = options,
     .option_count = sizeof options / sizeof options[0],
     .details = "IN is an .svscene, .svdag or .svo file, or - for stdin. Without --eye and --target the scene's own camera "
@@ -152,12 +161,6 @@ static bool parse_background(const char *text, svo_render_options *o)
     return true;
 }
 
-static bool ends_with(const char *text, const char *end)
-{
-    size_t n = strlen(text), m = strlen(end);
-    return n >= m && strcasecmp(text + n - m, end) == 0;
-}
-
 static svo_vec3 vec(const double v[3]) { return svo_v3(v[0], v[1], v[2]); }
 
 /* bvh NULL: by the bounds of the scene's pages. */
@@ -171,6 +174,10 @@ static svo_result choose_camera(const svo_scene *scene, const svo_bvh *bvh, svo_
         return svo_eye_from_transform(&scene->camera_transform, ask.fov_seen ? fov : scene->camera_yfov, &o->eye, err);
     }
     *how = "framed";
+    if (ask.turntable != 0) { /* what holds the scene from all sides: a square around its circle */
+        double x = 0.5 * low[0] + 0.5 * high[0], z = 0.5 * low[2] + 0.5 * high[2], radius = hypot(high[0] - x, high[2] - z);
+        low[0] = x - radius, high[0] = x + radius, low[2] = z - radius, high[2] = z + radius;
+    }
     o->eye = svo_eye_frame(low, high, (double)o->width / o->height, fov);
     if (!ask.eye_seen && !ask.target_seen && !ask.up_seen) return SVO_OK;
     *how = "given";
@@ -211,6 +218,14 @@ static void report_input(cli *c, const input *in, const svo_bvh_report *b)
     cli_put_u64(o, "hierarchy_bytes", b->bytes);
 }
 
+static void report_rays(cli *c, const svo_rays_report *form)
+{
+    json_t *o = cli_section(c, "rays");
+    cli_put_text(o, "kernel", svo_ray_kernel_name(form->kernel == SVO_KERNEL_AUTO ? SVO_KERNEL_PORTABLE : form->kernel));
+    cli_put_u64(o, "traversal_bytes", form->bytes);
+    cli_put_f64(o, "traversal_seconds", form->seconds);
+}
+
 static void report_picture(cli *c, const svo_render_options *o, const svo_render_stats *s, const char *camera, uint64_t bytes)
 {
     json_t *out = cli_section(c, "output");
@@ -226,6 +241,7 @@ static void report_picture(cli *c, const svo_render_options *o, const svo_render
     json_t *rays = cli_section(c, "rays");
     put_rays(rays, "primary", s->primary, s->hits, s->primary_seconds);
     put_rays(rays, "shadow", s->shadow, s->blocked, s->shadow_seconds);
+    put_rays(rays, "secondary", s->secondary, s->secondary_hits, s->secondary_seconds);
     cli_put_f64(rays, "shade_thread_seconds", s->shade_seconds);
     json_t *levels = cli_section(c, "levels"), *counts = json_array();
     uint64_t most = 0;
@@ -276,16 +292,17 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     svo_bvh *bvh = NULL;
     svo_bvh_report b;
     svo_render_stats stats;
-    fmt_output *out = NULL;
-    uint8_t *pixels = NULL;
-    uint64_t count = (uint64_t)o->width * o->height, bytes = 0;
+    uint64_t bytes = 0;
     const char *camera = "";
     bool direct = false;
     svo_result r = SVO_OK;
-    if (!ends_with(c->output, ".png") && strcmp(c->output, "-") != 0)
-        return svo_fail(err, SVO_UNSUPPORTED, "%s: svo-render writes .png only", c->output);
-    /* before the work, so that a bad place is known at once */
-    SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
+    picture_frames frames = {NULL, 0, 0};
+    if (!picture_is_exr(c->output) && !picture_is_png(c->output)) return svo_fail(err, SVO_UNSUPPORTED, "%s: svo-render writes .png and .exr only", c->output);
+    if (ask.turntable == 0 && ask.path == NULL) { /* before the work, so that a bad place is known at once */
+        fmt_output *out;
+        SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
+        fmt_output_discard(out);
+    }
 
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
@@ -297,24 +314,26 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     report_input(c, &in, &b);
     if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
     if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
-    pixels = svo_alloc(a, count, 4);
-    if (pixels == NULL) {
-        r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u pixels", o->width, o->height);
+    if ((ask.turntable != 0 || ask.path != NULL) && (direct || scene != in.scene)) {
+        r = svo_fail(err, SVO_UNSUPPORTED, "--turntable and --path draw scenes at rest: what is resampled for one camera is not right for another");
         goto done;
     }
-    cli_phase(c, "render");
-    r = direct ? draw_direct(c, scene, o, ask.delta, pixels, &stats, err) : svo_render(bvh, scene, o, pixels, &stats, err);
-    if (r != SVO_OK) goto done;
-    cli_phase(c, "write");
-    uint32_t channels = 4;
-    if (!o->transparent) {
-        channels = 3;
-        for (uint64_t i = 0; i < count; i++) memmove(pixels + 3 * i, pixels + 4 * i, 3);
+    svo_rays_options fast = svo_default_rays_options();
+    fast.allocator = a;
+    if (c->memory != 0) fast.memory = c->memory / 8; /* its building takes some of that again */
+    svo_rays_report form;
+    cli_phase(c, "rays");
+    if (!direct) {
+        if ((r = svo_bvh_use_rays(bvh, &fast, &form, err)) != SVO_OK) goto done;
+        report_rays(c, &form);
     }
-    if ((r = fmt_png_write(out, pixels, o->width, o->height, channels, err)) != SVO_OK) goto done;
-    bytes = fmt_output_offset(out);
-    r = fmt_output_commit(out, err);
-    out = NULL;
+    if (ask.turntable != 0) {
+        double low[3] = {0, 0, 0}, high[3] = {1, 1, 1};
+        svo_bvh_bounds(bvh, low, high);
+        r = picture_turntable(&frames, &o->eye, svo_v3(0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]), vec(ask.up),
+                              ask.turntable, a, err);
+    } else if (ask.path != NULL) r = picture_path(&frames, ask.path, vec(ask.up), o->eye.yfov, a, err);
+    if (r == SVO_OK) r = picture_draw(c, bvh, scene, o, ask.delta, c->output, &frames, &stats, &bytes, err);
     cli_phase(c, NULL);
     if (r != SVO_OK) goto done;
     report_picture(c, o, &stats, camera, bytes);
@@ -324,8 +343,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     if (in.loss.pages != 0 || in.loss.assets != 0) /* the picture is there, but it is not that of the whole scene */
         r = svo_fail(err, SVO_INVALID_DATA, "%s is damaged: the picture lacks %llu instances", c->inputs[0], (unsigned long long)in.loss.instances);
 done:
-    fmt_output_discard(out);
-    svo_free(a, pixels, count, 4);
+    picture_frames_free(&frames, a);
     svo_bvh_free(bvh);
     posing_close(&posed);
     close_input(&in);
@@ -344,6 +362,9 @@ int main(int argc, char **argv)
         return cli_usage(&c, "--background takes sky, transparent or r,g,b with 0..255 each, not \"%s\"", ask.background);
     if (svo_length(vec(ask.light)) == 0) return cli_usage(&c, "--light needs a direction, not 0,0,0");
     if (c.output == NULL) return cli_usage(&c, "-o OUT.png is missing");
+    if (ask.turntable != 0 && ask.path != NULL) return cli_usage(&c, "--turntable and --path are two ways to say the same: give one");
+    if ((ask.turntable != 0 || ask.path != NULL) && strcmp(c.output, "-") == 0) return cli_usage(&c, "many pictures do not go to stdout");
+    if (svo_length(vec(ask.up)) == 0 && ask.turntable != 0) return cli_usage(&c, "--turntable needs an axis: --up is 0,0,0");
     svo_pose stated;
     float matrix[12];
     const char *fault = ask.deform != NULL ? parse_deform(ask.deform, &stated, matrix) : NULL;
@@ -352,6 +373,9 @@ int main(int argc, char **argv)
     o.light = vec(ask.light);
     o.ambient = ask.ambient;
     o.shadows = !ask.no_shadows;
+    o.bounce = (uint32_t)ask.bounce;
+    o.reflections = ask.reflections || ask.reflectance > 0;
+    o.reflectance = ask.reflectance;
     o.footprint = ask.footprint;
     o.measure = c.report != NULL;
     o.threads = (uint32_t)c.threads;
