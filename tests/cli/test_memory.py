@@ -339,7 +339,7 @@ def test_textures_larger_than_memory(folder):
         for memory, depth in ((24, 6), (48, 9)) if glb else ((24, 9),):
             report = compare(folder, mesh, "%dM" % memory, memory << 20, "--depth", str(depth), "--reference", "300")
             check(report["input"]["paged_images"] >= 3 and report["input"]["paged_bytes"] >= 3 * 4 * 1500**2, report["input"])
-            check(report["temporary_files"]["files_at_a_time"] <= 2, report["temporary_files"])
+            check(report["temporary_files"]["files_at_a_time"] <= 4, report["temporary_files"])  # textures, triangles, bins of two rounds
     compare(folder, mesh, "32M", 32 << 20, "--depth", "8", "--threads", "3", "--attributes", "color,normal,coverage", "--reference", "0")
     for mesh in (folder / "m.gltf", mesh):
         r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "-f", "--depth", "8", "--memory", "24M", "--temp-size", "20M")
