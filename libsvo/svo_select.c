@@ -41,6 +41,7 @@ typedef struct selecting {
     svoi_look look;
     svoi_depth depth;    /* with occlusion */
     uint32_t *normal_channel; /* of each asset */
+    uint8_t *copy;            /* of each instance: it is where another is */
     svo_bones **bones;        /* of each asset that an instance moves by its bones, else NULL */
     bool by_pages;
     const job *jobs;
@@ -257,7 +258,7 @@ static visit root_of(const svo_view *v)
 static bool wanted(const selecting *s, uint64_t instance)
 {
     const svo_scene *scene = s->scene;
-    return !scene->assets[scene->instance_asset[instance]]->empty && (s->o->everything || svo_scene_instance_pose(scene, instance) != NULL);
+    return !s->copy[instance] && !scene->assets[scene->instance_asset[instance]]->empty && (s->o->everything || svo_scene_instance_pose(scene, instance) != NULL);
 }
 
 static sight see_page(const selecting *s, uint32_t page)
@@ -568,6 +569,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     }
     if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
     if (result == SVO_OK) result = make_bones(&s, err);
+    if (result == SVO_OK) result = svoi_find_copies(scene, o->allocator, &s.copy, err);
     if (result == SVO_OK) result = list_jobs(&s, &jobs, &out->report, err);
     if (result == SVO_OK && !o->occlusion) result = split_jobs(&s, &jobs, err);
     if (result == SVO_OK && o->occlusion) result = run_by_depth(&s, &jobs, &spans, threads, &out->report, err);
@@ -583,6 +585,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     svo_buffer_free(&spans);
     svo_free(o->allocator, s.outputs, threads, sizeof *s.outputs);
     for (uint32_t a = 0; a < scene->asset_count && s.bones != NULL; a++) svo_bones_free(s.bones[a]);
+    svo_free(o->allocator, s.copy, scene->instance_count, 1);
     svo_free(o->allocator, s.bones, scene->asset_count, sizeof *s.bones);
     svo_free(o->allocator, s.normal_channel, scene->asset_count, sizeof *s.normal_channel);
     svo_buffer_free(&jobs);

@@ -37,6 +37,9 @@ static inline svoi_span svoi_samples(const svoi_look *l, const svoi_rect *r)
 typedef void (*svoi_sample_fn)(void *user, uint32_t x, uint32_t y, float depth);
 void svoi_draw_box(const svoi_look *look, const float low[3], const float high[3], svoi_sample_fn hit, void *user);
 
+/* (*out)[i] is 1 where an earlier instance has the same asset, place and pose, so that i can never be seen. Freed by the caller: one byte an instance. */
+svo_result svoi_find_copies(const svo_scene *s, const svo_allocator *a, uint8_t **out, svo_error *err);
+
 enum { SVOI_DEPTH_LEVELS = 18 };
 typedef struct svoi_depth {
     const svo_allocator *allocator;
