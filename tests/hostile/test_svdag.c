@@ -1,5 +1,6 @@
 /* Damaged .svdag files are refused with a message, or what is read from them is sound: every voxel lies in the grid,
  * every index is in range and in order, every attribute can be decoded. */
+#include <stdlib.h>
 #include <string.h>
 
 #include "fmt_svdag.h"
@@ -92,6 +93,78 @@ TEST(damaged_layout_2_of_one_block) { run(3, 2, true, SVO_GEOMETRY_FAST, 0); }
 TEST(damaged_layout_2_of_a_deep_tree) { run(21, 2, true, SVO_GEOMETRY_FAST, 0); }
 TEST(damaged_layout_2_without_lod) { run(7, 1, false, SVO_GEOMETRY_FAST, 300); }
 TEST(damaged_layout_2_with_all_channels) { run(8, 1, true, SVO_GEOMETRY_FAST, 300); }
+
+/* Each number in each chunk of each layout claims 2^60 (nodes, values, bytes, positions ...), with right hashes. Nothing may be allocated, or walked, on its word. */
+static void claim(hostile_file *h, uint32_t chunk, uint64_t at, uint32_t width, const svo_allocator *counted, const svo_limit_allocator *limit, uint32_t *refused)
+{
+    hostile_chunk *c = &h->chunks[chunk];
+    uint64_t before = c->chunk.element_count, size = c->chunk.stored_size;
+    uint8_t kept[8];
+    if (width == 0) {
+        c->chunk.element_count = (uint64_t)1 << 60;
+    } else {
+        memcpy(kept, c->payload.data + at, width);
+        if (width == 8) fmt_store64(c->payload.data + at, (uint64_t)1 << 60);
+        else fmt_store32(c->payload.data + at, UINT32_MAX - 15);
+    }
+    hostile_touch(c);
+    svo_buffer bad;
+    svo_buffer_init(&bad, NULL);
+    hostile_build(h, &bad);
+    svo_error err = {0};
+    double start = svo_seconds();
+    svo_result r = read_svdag(NULL, bad.data, bad.size, counted, &err);
+    *refused += r != SVO_OK;
+    CHECK_MSG(r == SVO_OK || r == SVO_INVALID_DATA || r == SVO_UNSUPPORTED || r == SVO_LIMIT, "chunk %u, %u bytes at %llu: %s: %s", chunk, width,
+              (unsigned long long)at, svo_result_name(r), err.message);
+    CHECK_MSG(svo_seconds() - start < 5 && svo_limit_in_use(limit) == 0, "chunk %u, %u bytes at %llu: %g s, %llu bytes left", chunk, width, (unsigned long long)at,
+              svo_seconds() - start, (unsigned long long)svo_limit_in_use(limit));
+    svo_buffer_free(&bad);
+    if (width == 0) c->chunk.element_count = before;
+    else memcpy(c->payload.data + at, kept, width);
+    c->chunk.stored_size = size;
+}
+
+TEST(claims_of_2_to_the_60)
+{
+    static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
+    for (int g = 0; g < 4 && !test_failed(); g++) {
+        uint64_t seed = 900;
+        tree t;
+        tree_random(&t, 5, 1, &seed);
+        svo_error err = {0};
+        svo_dag_options o = {.geometry = geometries[g], .lod = true, .threads = 1};
+        svo_dag_builder *b;
+        svo_packed *p;
+        CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
+        CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
+        CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+        tree_free(&t);
+        svo_buffer file;
+        svo_buffer_init(&file, NULL);
+        fmt_output *out;
+        CHECK_OK(fmt_output_open_memory(&file, &out, &err));
+        CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), NULL, &err));
+        CHECK_OK(fmt_output_commit(out, &err));
+        svo_packed_free(p);
+        svo_limit_allocator limit;
+        svo_limit_allocator_init(&limit, (uint64_t)64 << 20, NULL);
+        hostile_file *h = malloc(sizeof *h);
+        CHECK(h != NULL);
+        hostile_parse(file.data, file.size, h);
+        uint32_t refused = 0;
+        for (uint32_t k = 0; k < h->count && !test_failed(); k++) {
+            uint64_t size = h->chunks[k].payload.size, step = size / 120 / 4 * 4 + 4; /* all of the small tables, a sample of the large streams */
+            claim(h, k, 0, 0, &limit.base, &limit, &refused);
+            for (uint64_t at = 0; at + 8 <= size && !test_failed(); at += step) claim(h, k, at, 8, &limit.base, &limit, &refused);
+            for (uint64_t at = 0; at + 4 <= size && !test_failed(); at += step) claim(h, k, at, 4, &limit.base, &limit, &refused);
+        }
+        CHECK_MSG(refused > 100, "geometry %d: only %u claims were refused", g, refused);
+        hostile_free(h);
+        free(h);
+        svo_buffer_free(&file);
+    }
+}
 
 /* A field of a payload changed and the hashes made right again: each rule has its own message. */
 typedef struct edit { uint32_t type; uint64_t offset; uint8_t mask; const char *rule; } edit;
