@@ -221,6 +221,26 @@ class Seeds:
                 with open(self.path("t.drc"), "rb") as f:
                     self.put("drc", "level%d.drc" % level, f.read())
 
+    def voxels(self):
+        """Colours and a rotated node in .vox, runs in binvox, types and spacings in NRRD."""
+        def chunk(kind, body, children=b""):
+            return kind + struct.pack("<II", len(body), len(children)) + body + children
+        def text(t):
+            return struct.pack("<I", len(t)) + t.encode()
+        def words(*pairs):
+            return struct.pack("<I", len(pairs)) + b"".join(text(k) + text(v) for k, v in pairs)
+        model = chunk(b"SIZE", struct.pack("<3I", 2, 3, 4)) + chunk(b"XYZI", struct.pack("<I", 2) + bytes([0, 0, 0, 1, 1, 2, 3, 79]))
+        self.put("voxels", "plain.vox", b"VOX " + struct.pack("<I", 150) + chunk(b"MAIN", b"", model + chunk(b"RGBA", bytes(1024))))
+        graph = (chunk(b"nTRN", struct.pack("<I", 0) + words() + struct.pack("<IiII", 1, -1, 0, 1) + words())
+                 + chunk(b"nGRP", struct.pack("<I", 1) + words() + struct.pack("<II", 1, 2))
+                 + chunk(b"nTRN", struct.pack("<I", 2) + words(("_name", "a")) + struct.pack("<IiII", 3, -1, 0, 1) + words(("_r", "40"), ("_t", "-3 0 7")))
+                 + chunk(b"nSHP", struct.pack("<I", 3) + words() + struct.pack("<II", 1, 0) + words()))
+        self.put("voxels", "graph.vox", b"VOX " + struct.pack("<I", 150) + chunk(b"MAIN", b"", model + graph))
+        self.put("voxels", "runs.binvox", b"#binvox 1\ndim 4 4 4\ntranslate -1 0 2\nscale 2.5\ndata\n" + bytes([0, 20, 1, 30, 0, 14]))
+        for kind, data in (("uint8", bytes(range(24))), ("short", bytes(range(48))), ("float", struct.pack("<24f", *range(24)))):
+            self.put("voxels", kind + ".nrrd", ("NRRD0004\n# tiny\ntype: %s\ndimension: 3\nsizes: 2 3 4\nspace directions: (1,0,0) (0,2,0) (0,0,1)\nspace origin: (0,1,2)\n"
+                                                "endian: little\nencoding: raw\n\n" % kind).encode() + data)
+
     def ours(self):
         mesh = self.path("t.ply", ply("binary_little_endian"))
         svos = []
@@ -262,6 +282,7 @@ def main():
         seeds = Seeds(sys.argv[1], sys.argv[2], work)
         seeds.images()
         seeds.meshes()
+        seeds.voxels()
         seeds.ours()
 
 

@@ -1,6 +1,7 @@
 /* The container alone: mapped and as a stream, every payload and the META text. */
 #include "../fuzz.h"
 #include "fmt_container.h"
+#include "fmt_survey.h"
 
 static svo_result read_mapped(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
@@ -43,6 +44,18 @@ static svo_result read_stream(const uint8_t *bytes, uint64_t size, const svo_all
     return r;
 }
 
+static void see_chunk(void *user, const fmt_chunk *chunk, bool intact)
+{
+    (void)user, (void)intact;
+    if (chunk->offset % 64 != 0) fuzz_fail("a chunk at byte %llu", (unsigned long long)chunk->offset);
+}
+
+static void see_damage(void *user, const svo_error *what, uint64_t bytes)
+{
+    (void)user, (void)bytes;
+    if (what->message[0] == '\0') fuzz_fail("damage without a message");
+}
+
 /* What one reader refuses the other must refuse (META aside, which a stream's reader checks when it is asked to). */
 static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
@@ -50,6 +63,9 @@ static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator 
     svo_result mapped = read_mapped(bytes, size, a, err), streamed = read_stream(bytes, size, a, &second);
     if (mapped == SVO_OK && streamed != SVO_OK) fuzz_fail("mapped is accepted, stream is refused: %s", second.message);
     if (streamed != SVO_OK && second.message[0] == '\0') fuzz_fail("no message from the stream");
+    const fmt_survey survey = {.chunk = see_chunk, .damage = see_damage};
+    uint64_t damaged = fmt_survey_file(bytes, size, &survey);
+    if (mapped == SVO_OK && damaged != 0) fuzz_fail("accepted, but the survey finds damage in %llu places", (unsigned long long)damaged);
     return mapped;
 }
 
