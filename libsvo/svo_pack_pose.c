@@ -23,9 +23,10 @@ void svoi_pose_table_free(svoi_pose_table *t)
 
 enum { POSE_BYTES = sizeof(svo_pose), MATRIX_BYTES = 12 * sizeof(float) };
 
-static svo_pose *pose_at(const svoi_pose_table *t, uint64_t i) { return (svo_pose *)(void *)t->poses.data + i; }
+/* NULL while there is none: even zero may not be added to a null pointer. */
+static svo_pose *pose_at(const svoi_pose_table *t, uint64_t i) { return t->poses.data != NULL ? (svo_pose *)(void *)t->poses.data + i : NULL; }
 static uint64_t pose_count(const svoi_pose_table *t) { return t->poses.size / POSE_BYTES; }
-static const float *matrix_at(const svoi_pose_table *t, uint64_t i) { return (const float *)(const void *)t->matrices.data + 12 * i; }
+static const float *matrix_at(const svoi_pose_table *t, uint64_t i) { return t->matrices.data != NULL ? (const float *)(const void *)t->matrices.data + 12 * i : NULL; }
 static uint64_t matrix_count(const svoi_pose_table *t) { return t->matrices.size / MATRIX_BYTES; }
 static uint32_t run_length(const svoi_pose_table *t, uint64_t i) { return ((const uint32_t *)(const void *)t->run_length.data)[i]; }
 
