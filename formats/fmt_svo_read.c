@@ -345,7 +345,7 @@ static void from_planes(const uint8_t *planes, uint64_t count, uint32_t stride, 
     }
 }
 
-static bool bad_normals(const uint8_t *values, uint64_t count)
+bool fmti_bad_normals(const uint8_t *values, uint64_t count)
 {
     bool bad = false;
     for (uint64_t i = 0; i < 2 * count; i++) {
@@ -381,7 +381,7 @@ static svo_result unpack(const fmt_svo_reader *r, const fmt_chunk *c, svo_buffer
             if (stride == 1) n.channels[i] = planes; /* one plane is the values */
             else from_planes(planes, voxels, stride, places[i]);
         }
-        if (channel->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(n.channels[i], voxels))
+        if (channel->kind == SVO_KIND_NORMAL_OCT32 && fmti_bad_normals(n.channels[i], voxels))
             return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)c->id);
         values += stride * voxels;
     }

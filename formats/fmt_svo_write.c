@@ -93,17 +93,6 @@ static void to_planes(const uint8_t *values, uint64_t count, uint32_t stride, ui
     }
 }
 
-static bool bad_normals(const uint8_t *v, uint64_t count)
-{
-    bool bad = false;
-    for (uint64_t i = 0; i < 2 * count; i++) {
-        uint16_t n;
-        memcpy(&n, v + 2 * i, 2);
-        bad |= n == 0x8000;
-    }
-    return bad;
-}
-
 static svo_result bad_normal(const svo_chunk *chunk, svo_error *err)
 {
     return svo_fail(err, SVO_INVALID_DATA, "chunk %llx: a normal holds -32768 (SVO-09)", (unsigned long long)chunk->code);
@@ -117,7 +106,7 @@ static svo_result fill_record(fmt_svo_writer *w, const svo_chunk *chunk, blob *b
     for (uint32_t i = 0; i < w->info.channel_count && ok; i++) {
         const svo_channel *c = &w->info.channels[i];
         if (c->constant) continue;
-        if (c->kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], 1)) return bad_normal(chunk, err);
+        if (c->kind == SVO_KIND_NORMAL_OCT32 && fmti_bad_normals(chunk->channels[i], 1)) return bad_normal(chunk, err);
         ok = svo_buffer_append(&b->stored, chunk->channels[i], svo_channel_stride(c->kind)) != NULL;
     }
     b->chunk.type = FMTI_SVO_FULL;
@@ -191,7 +180,7 @@ static svo_result fill_blob(fmt_svo_writer *w, const svo_chunk *chunk, blob *b, 
     b->end = svo_chunk_end(chunk);
     if (svo_chunk_full(chunk)) return fill_record(w, chunk, b, err);
     for (uint32_t i = 0; i < info->channel_count; i++)
-        if (!info->channels[i].constant && info->channels[i].kind == SVO_KIND_NORMAL_OCT32 && bad_normals(chunk->channels[i], chunk->value_count))
+        if (!info->channels[i].constant && info->channels[i].kind == SVO_KIND_NORMAL_OCT32 && fmti_bad_normals(chunk->channels[i], chunk->value_count))
             return bad_normal(chunk, err);
     uint64_t coded = 0;
     const bool small = w->masks != NULL;

@@ -84,6 +84,9 @@ void fmti_count_full(svo_tree_counts *counts, uint32_t level, uint32_t end);
 /* Bytes of all channels that are not constant, one voxel. */
 uint32_t fmti_voxel_bytes(const svo_tree_info *info);
 
+/* Does one of `count` octahedral normals (two int16 each) have the component -32768, which none may have? */
+bool fmti_bad_normals(const uint8_t *values, uint64_t count);
+
 /* The values of all channels that are not constant, one after the other. */
 svo_result fmti_svo_pack(const svo_tree_info *info, const svo_chunk *chunk, const svo_allocator *a, svo_buffer *to, svo_error *err);
 /* Back: `bytes` is filled by them. to[i]: room for channel i. */

@@ -30,12 +30,14 @@ static svo_result single(cli_scene *out, const svo_view *view, const svo_allocat
     return SVO_OK;
 }
 
-static svo_result open_kind(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, cli_scene *out, svo_error *err)
+static svo_result open_kind(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene_loss *loss, cli_scene *out,
+                            svo_error *err)
 {
     switch ((fmt_kind)fmt_container_kind(data, size)) {
     case FMT_KIND_SCENE:
         out->kind = "svscene";
-        SVO_TRY(fmt_scene_open(data, size, a, &out->file, err));
+        if (loss != NULL) SVO_TRY(fmt_scene_open_partly(data, size, a, &out->file, loss, err));
+        else SVO_TRY(fmt_scene_open(data, size, a, &out->file, err));
         out->scene = &out->file.scene;
         return SVO_OK;
     case FMT_KIND_SVDAG:
@@ -51,10 +53,10 @@ static svo_result open_kind(cli *c, const char *name, const uint8_t *data, uint6
     return svo_fail(err, SVO_INVALID_DATA, "%.100s is not an .svo, .svdag or .svscene file (meshes go through svo-voxelize first)", name);
 }
 
-svo_result cli_scene_open(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, cli_scene *out, svo_error *err)
+svo_result cli_scene_open(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene_loss *loss, cli_scene *out, svo_error *err)
 {
     memset(out, 0, sizeof *out);
-    svo_result r = open_kind(c, name, data, size, a, out, err);
+    svo_result r = open_kind(c, name, data, size, a, loss, out, err);
     if (r != SVO_OK) cli_scene_close(out);
     return r;
 }

@@ -17,8 +17,9 @@ typedef struct cli_scene {
     svo_scene_one single;
 } cli_scene;
 
-/* `data` (64-byte aligned, borrowed) is the file's bytes and `name` what messages call it. Do not move *out while it is open. */
-svo_result cli_scene_open(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, cli_scene *out, svo_error *err);
+/* `data` (64-byte aligned, borrowed) is the file's bytes and `name` what messages call it. Of a damaged .svscene what is left is opened where `loss` is given, which
+ * says what is missing (fmt_scene_open_partly); NULL: the file must be whole. Do not move *out while it is open. */
+svo_result cli_scene_open(cli *c, const char *name, const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene_loss *loss, cli_scene *out, svo_error *err);
 /* A zeroed one is fine. */
 void cli_scene_close(cli_scene *s);
 

@@ -137,7 +137,7 @@ svo_result dump_export_file(dump_job *j, svo_error *err)
     cli_scene s;
     fmt_output *o = NULL;
     SVO_TRY(fmt_output_open(j->export.path, j->c->force, &o, err));
-    svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, &s, err);
+    svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, NULL, &s, err);
     if (r == SVO_OK) {
         if (strcmp(s.kind, "svscene") == 0) r = svo_fail(err, SVO_UNSUPPORTED, "--export takes one octree; export the scene's assets one by one, or write its voxels with --voxels");
         else if (s.scene->asset_count == 0) r = svo_fail(err, SVO_RUNTIME, "the file has no octree");

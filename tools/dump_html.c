@@ -450,7 +450,7 @@ svo_result dump_html(dump_job *j, svo_error *err)
     cli_scene s;
     fmt_output *o = NULL;
     SVO_TRY(fmt_output_open(j->html, j->c->force, &o, err)); /* before the work, so that a bad place is known at once */
-    svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, &s, err);
+    svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, NULL, &s, err);
     if (r == SVO_OK) {
         r = make_page(j, s.scene, o, err);
         cli_scene_close(&s);

@@ -6,6 +6,7 @@
 #include <strings.h>
 
 #include "cli.h"
+#include "cli_scene.h"
 #include "fmt_image.h"
 #include "fmt_scene.h"
 #include "fmt_svo.h"
@@ -72,66 +73,24 @@ static const cli_tool tool = {
 
 typedef struct input {
     fmt_bytes bytes;
-    fmt_scene file;
-    fmt_svdag dag;
-    svo_packed *packed;
-    svo_scene_one single;
-    const svo_scene *scene;
-    const char *kind;
+    cli_scene opened;
     fmt_scene_loss loss; /* of a damaged scene */
 } input;
-
-static svo_result open_svo(input *in, cli *c, const svo_allocator *a, svo_error *err)
-{
-    fmt_input *stream = NULL;
-    fmt_svo_reader *reader = NULL;
-    svo_result r = fmt_input_open_memory(in->bytes.data, in->bytes.size, &stream, err);
-    if (r == SVO_OK) r = fmt_svo_reader_open(stream, a, &reader, err);
-    if (r == SVO_OK) {
-        svo_dag_options o = svo_default_dag_options();
-        o.threads = (uint32_t)c->threads;
-        o.allocator = a;
-        o.warnings = &c->warnings;
-        svo_chunk_source source = fmt_svo_reader_source(reader);
-        r = svo_dag_build(fmt_svo_reader_info(reader), &source, &o, &in->packed, NULL, err);
-    }
-    fmt_svo_reader_close(reader);
-    fmt_input_close(stream);
-    if (r == SVO_OK) r = svo_scene_single(svo_packed_view(in->packed), "", a, &in->single, err);
-    if (r == SVO_OK) in->scene = &in->single.scene;
-    return r;
-}
 
 static svo_result open_input(input *in, cli *c, const svo_allocator *a, svo_error *err)
 {
     SVO_TRY(fmt_bytes_open(c->inputs[0], c->memory, a, &in->bytes, err));
-    switch ((fmt_kind)fmt_container_kind(in->bytes.data, in->bytes.size)) {
-    case FMT_KIND_SCENE:
-        in->kind = "svscene";
-        SVO_TRY(fmt_scene_open_partly(in->bytes.data, in->bytes.size, a, &in->file, &in->loss, err));
-        if ((in->loss.pages != 0 || in->loss.assets != 0) && in->file.scene.instance_count == 0)
-            return svo_fail(err, SVO_INVALID_DATA, "%s is damaged: nothing of it can be drawn", c->inputs[0]);
-        if (in->loss.pages != 0) svo_warn(&c->warnings, "%llu pages are damaged and left out", (unsigned long long)in->loss.pages);
-        if (in->loss.assets != 0) svo_warn(&c->warnings, "%llu assets are damaged; nothing is drawn of them", (unsigned long long)in->loss.assets);
-        in->scene = &in->file.scene;
-        return SVO_OK;
-    case FMT_KIND_SVDAG:
-        in->kind = "svdag";
-        SVO_TRY(fmt_svdag_open(in->bytes.data, in->bytes.size, a, &in->dag, err));
-        SVO_TRY(svo_scene_single(&in->dag.view, "", a, &in->single, err));
-        in->scene = &in->single.scene;
-        return SVO_OK;
-    case FMT_KIND_SVO: in->kind = "svo"; return open_svo(in, c, a, err);
-    case FMT_KIND_SKEL: return svo_fail(err, SVO_UNSUPPORTED, "%s is a skeleton; svo-render draws .svscene, .svdag and .svo files", c->inputs[0]);
-    }
-    return svo_fail(err, SVO_INVALID_DATA, "%s is not an .svscene, .svdag or .svo file (meshes go through svo-voxelize first)", c->inputs[0]);
+    SVO_TRY(cli_scene_open(c, c->inputs[0], in->bytes.data, in->bytes.size, a, &in->loss, &in->opened, err));
+    if ((in->loss.pages != 0 || in->loss.assets != 0) && in->opened.scene->instance_count == 0)
+        return svo_fail(err, SVO_INVALID_DATA, "%s is damaged: nothing of it can be drawn", c->inputs[0]);
+    if (in->loss.pages != 0) svo_warn(&c->warnings, "%llu pages are damaged and left out", (unsigned long long)in->loss.pages);
+    if (in->loss.assets != 0) svo_warn(&c->warnings, "%llu assets are damaged; nothing is drawn of them", (unsigned long long)in->loss.assets);
+    return SVO_OK;
 }
 
 static void close_input(input *in)
 {
-    fmt_scene_close(&in->file);
-    fmt_svdag_close(&in->dag);
-    svo_packed_free(in->packed);
+    cli_scene_close(&in->opened);
     fmt_bytes_close(&in->bytes);
 }
 
@@ -202,10 +161,10 @@ static void put_rays(json_t *rays, const char *name, uint64_t count, uint64_t hi
 static void report_input(cli *c, const input *in, const svo_bvh_report *b)
 {
     json_t *o = cli_section(c, "input");
-    cli_put_text(o, "kind", in->kind);
+    cli_put_text(o, "kind", in->opened.kind);
     cli_put_u64(o, "bytes", in->bytes.size);
-    cli_put_u64(o, "assets", in->scene->asset_count);
-    cli_put_u64(o, "pages", in->scene->page_count);
+    cli_put_u64(o, "assets", in->opened.scene->asset_count);
+    cli_put_u64(o, "pages", in->opened.scene->page_count);
     cli_put_u64(o, "instances", b->instances);
     cli_put_u64(o, "instances_placed", b->placed);
     cli_put_u64(o, "instances_empty", b->empty);
@@ -306,7 +265,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
 
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
-    scene = in.scene;
+    scene = in.opened.scene;
     if ((r = unpose(c, &posed, &scene, o, stated, matrix, &camera, &direct, err)) != SVO_OK) goto done;
     cli_phase(c, "hierarchy");
     if (direct) b = (svo_bvh_report){.instances = scene->instance_count, .placed = scene->instance_count};
@@ -314,7 +273,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     report_input(c, &in, &b);
     if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
     if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
-    if ((ask.turntable != 0 || ask.path != NULL) && (direct || scene != in.scene)) {
+    if ((ask.turntable != 0 || ask.path != NULL) && (direct || scene != in.opened.scene)) {
         r = svo_fail(err, SVO_UNSUPPORTED, "--turntable and --path draw scenes at rest: what is resampled for one camera is not right for another");
         goto done;
     }

@@ -48,6 +48,24 @@ static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, co
     return SVO_OK;
 }
 
+/* The file of a tree. */
+static void pack(tree *t, bool lod, svo_geometry geometry, const char *provenance, svo_buffer *file)
+{
+    svo_buffer_init(file, NULL);
+    svo_error err = {0};
+    svo_dag_options o = {.lod = lod, .geometry = geometry, .threads = 1};
+    svo_dag_builder *b;
+    svo_packed *p;
+    CHECK_OK(svo_dag_builder_create(&t->info, &o, &b, &err));
+    CHECK_OK(tree_feed(t, 1, svo_dag_builder_sink(b), &err));
+    CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
+    fmt_output *out;
+    CHECK_OK(fmt_output_open_memory(file, &out, &err));
+    CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), provenance, &err));
+    CHECK_OK(fmt_output_commit(out, &err));
+    svo_packed_free(p);
+}
+
 static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry, uint32_t rounds)
 {
     uint64_t seed = 200 + depth;
@@ -58,21 +76,9 @@ static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry,
         uint32_t stride = svo_channel_stride(t.info.channels[c].kind);
         for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= c == 0 || i / stride % 1500 < 700 ? 3 : 0x3f;
     }
-    svo_error err = {0};
-    svo_dag_options o = {.lod = lod, .geometry = geometry, .threads = 1};
-    svo_dag_builder *b;
-    svo_packed *p;
-    CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
-    CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
-    CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
-    tree_free(&t);
     svo_buffer file;
-    svo_buffer_init(&file, NULL);
-    fmt_output *out;
-    CHECK_OK(fmt_output_open_memory(&file, &out, &err));
-    CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), "{\"tool\":\"test\"}", &err));
-    CHECK_OK(fmt_output_commit(out, &err));
-    svo_packed_free(p);
+    pack(&t, lod, geometry, "{\"tool\":\"test\"}", &file);
+    tree_free(&t);
     hostile_case c = {.read = read_svdag, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = seed};
     hostile_run(&c);
     svo_buffer_free(&file);
@@ -132,21 +138,9 @@ TEST(claims_of_2_to_the_60)
         uint64_t seed = 900;
         tree t;
         tree_random(&t, 5, 1, &seed);
-        svo_error err = {0};
-        svo_dag_options o = {.geometry = geometries[g], .lod = true, .threads = 1};
-        svo_dag_builder *b;
-        svo_packed *p;
-        CHECK_OK(svo_dag_builder_create(&t.info, &o, &b, &err));
-        CHECK_OK(tree_feed(&t, 1, svo_dag_builder_sink(b), &err));
-        CHECK_OK(svo_dag_builder_finish(b, &p, NULL, &err));
-        tree_free(&t);
         svo_buffer file;
-        svo_buffer_init(&file, NULL);
-        fmt_output *out;
-        CHECK_OK(fmt_output_open_memory(&file, &out, &err));
-        CHECK_OK(fmt_svdag_write(out, svo_packed_view(p), NULL, &err));
-        CHECK_OK(fmt_output_commit(out, &err));
-        svo_packed_free(p);
+        pack(&t, true, geometries[g], NULL, &file);
+        tree_free(&t);
         svo_limit_allocator limit;
         svo_limit_allocator_init(&limit, (uint64_t)64 << 20, NULL);
         hostile_file *h = malloc(sizeof *h);
