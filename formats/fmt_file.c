@@ -59,8 +59,7 @@ static svo_result exists_fail(svo_error *err, const char *path)
 static int with_fresh_name(fmt_output *o, int (*use)(fmt_output *o, const char *name))
 {
     for (unsigned attempt = 0; attempt < 1000; attempt++) {
-        int n = snprintf(o->temporary, sizeof o->temporary, "%s.part-%lx-%x", o->path, (unsigned long)getpid(), attempt);
-        if (n < 0 || (size_t)n >= sizeof o->temporary) return ENAMETOOLONG;
+        if (!fmti_temporary_name(o->path, attempt, o->temporary, sizeof o->temporary)) return ENAMETOOLONG;
         int code = use(o, o->temporary);
         if (code != EEXIST) return code;
     }
@@ -70,7 +69,11 @@ static int with_fresh_name(fmt_output *o, int (*use)(fmt_output *o, const char *
 static int create_named(fmt_output *o, const char *name)
 {
     o->fd = open(name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
-    return o->fd < 0 ? errno : 0;
+    if (o->fd < 0) return errno;
+    if (fmti_temporary_claim(o->fd, name)) return 0;
+    close(o->fd);
+    o->fd = -1;
+    return EEXIST;
 }
 
 static int link_unnamed(fmt_output *o, const char *name)
@@ -104,6 +107,7 @@ static svo_result open_target(fmt_output *o, const char *path, svo_error *err)
     char folder[PATH_MAX];
     fmt_folder_of(o->path, folder, sizeof folder);
     if (access(folder, F_OK) != 0) return svo_fail(err, SVO_IO, "%s: the folder %s does not exist", path, folder);
+    fmt_output_remove_leftovers(o->path);
     o->fd = -1;
 #ifdef O_TMPFILE
     if (access("/proc/self/fd", X_OK) == 0) {
@@ -264,11 +268,15 @@ static int give_name(fmt_output *o)
     if (o->sink == SINK_UNNAMED) {
         int code = link_unnamed(o, o->path);
         if (code != EEXIST || !o->force) return code;
+        fmti_temporary_claim(o->fd, NULL); /* it has no name yet: nobody else can have the lock */
         code = with_fresh_name(o, link_unnamed); /* there is no linkat that replaces */
         if (code != 0) return code;
-        if (rename(o->temporary, o->path) == 0) return 0;
-        code = errno;
-        unlink(o->temporary);
+        fmti_temporary_remember(o->temporary);
+        if (rename(o->temporary, o->path) != 0) {
+            code = errno;
+            unlink(o->temporary);
+        }
+        fmti_temporary_forget(o->temporary);
         return code;
     }
     if (!o->force) return rename_new(o->temporary, o->path);

@@ -9,7 +9,9 @@ extern "C" {
 #endif
 
 /* An output. Nothing appears under `path` before fmt_output_commit; where the file system can (O_TMPFILE), nothing
- * appears anywhere, so that even kill -9 leaves no trace. Otherwise a temporary file beside the target is used.
+ * appears anywhere, so that even kill -9 leaves no trace. Otherwise, and for the moment in which a file replaces another,
+ * a temporary file PATH.part-N beside the target is used; what a killed process left of that kind, the next fmt_output_open of
+ * the same path removes.
  * Writing is sequential and buffered; the offset is tracked for all sinks, pipes too. */
 typedef struct fmt_output fmt_output;
 
@@ -34,6 +36,8 @@ void fmt_output_discard(fmt_output *o);
 /* Remove the temporary files of all outputs that are open in this process. Async-signal-safe: for a handler that then
  * ends the process. (Where O_TMPFILE works there are none.) */
 void fmt_output_remove_temporaries(void);
+/* Remove the temporary files that killed processes left beside `path`; those of processes that are at work stay. */
+void fmt_output_remove_leftovers(const char *path);
 
 /* A whole file, mapped read-only where it is a regular file, else read into memory (at most max_bytes, 0 = no limit;
  * more is SVO_LIMIT; a mapped file costs no memory and is not limited). 64-byte aligned.

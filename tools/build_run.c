@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #include "build.h"
+#include "fmt_file.h"
 
 extern char **environ;
 
@@ -196,6 +197,13 @@ static svo_result reap(runner *r, svo_error *err)
     return SVO_OK;
 }
 
+/* What a killed run left beside the files of a step. */
+static void remove_leftovers(const build_step *s)
+{
+    const char *const files[] = {s->output, s->state_path, s->report, s->depfile};
+    for (size_t i = 0; i < sizeof files / sizeof files[0]; i++) fmt_output_remove_leftovers(files[i]);
+}
+
 /* Look at one waiting step; *progress when its state changed. */
 static svo_result consider(runner *r, build_step *s, bool *progress, svo_error *err)
 {
@@ -208,6 +216,7 @@ static svo_result consider(runner *r, build_step *s, bool *progress, svo_error *
         print_result(r, s, 0, s->kind == BUILD_PACK ? "an asset failed" : "an earlier step of it failed", 0);
         return *progress = true, SVO_OK;
     }
+    if (s->tries == 0 && !r->o->dry_run) remove_leftovers(s);
     if (s->tries == 0 && !needs_stale(r, s) && build_step_current(s)) {
         s->state = BUILD_CURRENT;
         r->totals->current++;

@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
@@ -222,6 +223,54 @@ TEST(even_a_killed_program_leaves_nothing)
     CHECK_U64(in_child(die_while_writing), 100 + SIGKILL);
     CHECK(holds(target, "old"));
     CHECK_U64(entries(), 1);
+}
+
+/* What a process leaves that is killed between naming a temporary file and renaming it: the file, without the lock that ends with the process. */
+TEST(leftovers_of_killed_programs_go_with_the_next_output)
+{
+    char left[8][300];
+    for (int force = 0; force < 2; force++) {
+        fresh();
+        if (force) put(target, "old");
+        for (int i = 0; i < 8; i++) snprintf(left[i], sizeof left[i], "%s.part-%d", target, i);
+        put(left[0], "half");
+        put(left[3], "half"); /* its neighbours came to their end */
+        fmt_output *o = NULL;
+        CHECK_OK(fmt_output_open(target, force != 0, &o, &err));
+        CHECK(access(left[3], F_OK) != 0);
+        CHECK_OK(fmt_output_write(o, "new", 3, &err));
+        CHECK_OK(fmt_output_commit(o, &err));
+        CHECK(holds(target, "new"));
+        CHECK_U64(entries(), 1);
+    }
+}
+
+TEST(files_of_others_at_work_stay)
+{
+    fresh();
+    char theirs[300], folder_there[300];
+    snprintf(theirs, sizeof theirs, "%s.part-0", target);
+    snprintf(folder_there, sizeof folder_there, "%s.part-1", target);
+    put(target, "old");
+    put(theirs, "theirs");
+    CHECK(mkdir(folder_there, 0777) == 0);
+    int fd = open(theirs, O_RDWR | O_CLOEXEC);
+    CHECK(fd >= 0 && flock(fd, LOCK_EX | LOCK_NB) == 0);
+    fmt_output *a = NULL, *b = NULL;
+    CHECK_OK(fmt_output_open(target, true, &a, &err));
+    CHECK_OK(fmt_output_open(target, true, &b, &err)); /* two at a time, in one process or two */
+    CHECK_OK(fmt_output_write(a, "first", 5, &err));
+    CHECK_OK(fmt_output_write(b, "second", 6, &err));
+    CHECK_OK(fmt_output_commit(a, &err));
+    CHECK(holds(target, "first"));
+    CHECK_OK(fmt_output_commit(b, &err));
+    CHECK(holds(target, "second"));
+    CHECK(holds(theirs, "theirs"));
+    CHECK_U64(entries(), 3);
+    close(fd);
+    fmt_output_remove_leftovers(target);
+    CHECK_U64(entries(), 2); /* a folder is nobody's output */
+    CHECK(rmdir(folder_there) == 0);
 }
 
 TEST(a_reader_that_goes_away_is_an_error)
