@@ -77,6 +77,21 @@ static svo_channel *add_channel(svo_tree_info *info, const char *name, svo_chann
     return c;
 }
 
+/* Have all corners of a part's triangles one colour? White where it has none. */
+static bool one_color(const svo_part *part, float color[4])
+{
+    for (int k = 0; k < 4; k++) color[k] = 1;
+    if (part->soup != NULL) {
+        if (part->soup->layout.colors) memcpy(color, part->soup->color, sizeof part->soup->color);
+        return !part->soup->layout.colors || !part->soup->many_colors;
+    }
+    if (part->colors == NULL || part->triangle_count == 0) return true;
+    memcpy(color, part->colors + 4 * (uint64_t)part->indices[0], 4 * sizeof *color);
+    for (uint64_t i = 1; i < 3 * part->triangle_count; i++)
+        if (memcmp(part->colors + 4 * (uint64_t)part->indices[i], color, 4 * sizeof *color) != 0) return false;
+    return true;
+}
+
 static uint8_t unorm8(float v) { return v > 0 ? v < 1 ? (uint8_t)(v * 255 + 0.5f) : 255 : 0; }
 
 /* Channels in a fixed order; those in which every voxel would get the same value are constant. */
@@ -93,15 +108,18 @@ static svo_result plan_channels(const svo_placement *p, uint32_t wanted, bool an
         float glow[3];
         for (int i = 0; i < 3; i++) glow[i] = m.emissive[i] > 0 ? m.emissive[i] < 1 ? m.emissive[i] : 1 : 0;
         bool glows = glow[0] > 0 || glow[1] > 0 || glow[2] > 0, mr = textured(mesh, &m.metallic_roughness_texture);
-        use(&color, m.base_color, 3, textured(mesh, &m.base_color_texture) || svo_part_has_colors(part));
+        float painted[4];
+        const bool plain = one_color(part, painted);
+        for (int i = 0; i < 4; i++) painted[i] *= m.base_color[i];
+        use(&color, painted, 3, textured(mesh, &m.base_color_texture) || !plain);
         use(&emissive, glow, 3, glows && textured(mesh, &m.emissive_texture));
         use(&metallic, &m.metallic, 1, mr && m.metallic > 0);
         use(&roughness, &m.roughness, 1, mr && m.roughness > 0);
         use(&material, &id, 1, false);
         const bool alpha = m.alpha_mode != SVO_ALPHA_OPAQUE;
-        const float covers = !alpha ? 1 : m.base_color[3] > 0 ? m.base_color[3] < 1 ? m.base_color[3] : 1 : 0;
+        const float covers = !alpha ? 1 : painted[3] > 0 ? painted[3] < 1 ? painted[3] : 1 : 0;
         const bool seen_through = textured(mesh, &m.base_color_texture) && mesh->images[m.base_color_texture.image].has_alpha;
-        use(&coverage, &covers, 1, alpha && (seen_through || textured(mesh, &m.opacity_texture) || part->colors != NULL));
+        use(&coverage, &covers, 1, alpha && (seen_through || textured(mesh, &m.opacity_texture) || !plain));
         blends |= m.alpha_mode == SVO_ALPHA_BLEND;
         if (named && part->material >= UINT16_MAX && wanted & SVO_WANT_MATERIAL)
             return svo_fail(err, SVO_LIMIT, "the material channel holds at most %u materials", UINT16_MAX);

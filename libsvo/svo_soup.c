@@ -96,6 +96,16 @@ void svo_soup_file_release(svo_soup_file *f)
     svo_free(f->allocator, f, 1, sizeof *f);
 }
 
+/* Do all corners so far have one colour? */
+static void note_colors(struct svo_soup *s, const uint8_t *records, uint64_t count, bool first)
+{
+    const uint32_t stride = s->layout.stride;
+    if (!s->layout.colors) return;
+    if (first) memcpy(s->color, records + stride - 48, sizeof s->color);
+    for (uint64_t i = 0; i < count && !s->many_colors; i++)
+        for (uint32_t k = 0; k < 3; k++) s->many_colors |= memcmp(records + (i + 1) * stride - 48 + 16 * k, s->color, sizeof s->color) != 0;
+}
+
 svo_result svo_soup_append(svo_part *part, svo_soup_file *file, const svo_soup_layout *layout, const svo_allocator *a, const uint8_t *records,
                            uint64_t count, svo_error *err)
 {
@@ -119,6 +129,7 @@ svo_result svo_soup_append(svo_part *part, svo_soup_file *file, const svo_soup_l
         s->pieces.size -= sizeof piece;
         return r;
     }
+    note_colors(s, records, count, part->triangle_count == 0);
     part->triangle_count += count;
     part->vertex_count = 3 * part->triangle_count;
     return SVO_OK;

@@ -43,6 +43,8 @@ struct svo_soup {
     svo_soup_file *file;
     svo_soup_layout layout;
     svo_buffer pieces; /* svo_soup_piece, in the order of triangles */
+    float color[4];    /* of the first corner; (layout.colors) */
+    bool many_colors;  /* another corner has another one */
 };
 /* `count` records to the end of the part, as one piece; part->triangle_count and vertex_count follow. Makes part->soup first
  * where there is none. */

@@ -346,6 +346,14 @@ TEST(constant_channels_cost_nothing)
     CHECK_OK(svo_voxelize_plan(&m.mesh, &o, &info, &err));
     CHECK(info.channel_count == 3 && info.channels[0].constant && info.channels[2].constant);
     CHECK(info.channels[0].value[0] == 255 && info.channels[0].value[1] == 0 && info.channels[2].value[0] == 255);
+    float paint[12] = {0.5f, 1, 1, 1, 0.5f, 1, 1, 1, 0.5f, 1, 1, 1};
+    m.part.colors = paint; /* one colour for all vertices */
+    CHECK_OK(svo_voxelize_plan(&m.mesh, &o, &info, &err));
+    CHECK(info.channels[0].constant && info.channels[0].value[0] == svo_linear_to_srgb(0.5f) && info.channels[0].value[1] == 0);
+    paint[8] = 0.25f;
+    CHECK_OK(svo_voxelize_plan(&m.mesh, &o, &info, &err));
+    CHECK(!info.channels[0].constant);
+    m.part.colors = NULL;
     o.channels = SVO_WANT_COLOR | SVO_WANT_MATERIAL;
     voxel_set s;
     CHECK_OK(voxel_run(&m.mesh, &o, true, &s, &err));
