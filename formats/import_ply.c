@@ -12,27 +12,6 @@ static svo_result bad(const ply_reader *r, const ply_element *e, uint64_t row, c
     return svo_fail(err, SVO_INVALID_DATA, "%s: PLY element %s %llu: %s", r->c->path, e->name, (unsigned long long)(r->first_row + row), what);
 }
 
-static double load(const uint8_t *p, ply_type type, bool big)
-{
-    uint8_t b[8];
-    uint32_t n = ply_type_size(type);
-    for (uint32_t i = 0; i < n; i++) b[i] = p[big ? n - 1 - i : i];
-    float f;
-    double d;
-    switch (type) {
-    case PLY_I8: return (int8_t)b[0];
-    case PLY_U8: return b[0];
-    case PLY_I16: return (int16_t)fmt_load16(b);
-    case PLY_U16: return fmt_load16(b);
-    case PLY_I32: return (int32_t)fmt_load32(b);
-    case PLY_U32: return fmt_load32(b);
-    case PLY_F32: memcpy(&f, b, sizeof f); return (double)f;
-    case PLY_F64: memcpy(&d, b, sizeof d); return d;
-    case PLY_NONE: break;
-    }
-    return 0;
-}
-
 static bool read_value(ply_reader *r, ply_type type, double *v)
 {
     if (r->ascii) {
@@ -44,7 +23,7 @@ static bool read_value(ply_reader *r, ply_type type, double *v)
     }
     uint32_t n = ply_type_size(type);
     if ((uint64_t)(r->end - r->p) < n) return false;
-    *v = load(r->p, type, r->big_endian);
+    *v = ply_load(r->p, type, r->big_endian);
     r->p += n;
     return true;
 }

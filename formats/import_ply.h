@@ -11,7 +11,7 @@ enum { PLY_MAX_ELEMENTS = 32, PLY_MAX_PROPERTIES = 128 };
 /* What a property means to us; slots 0..11 are values of a vertex in this order. */
 typedef enum ply_use {
     PLY_X, PLY_Y, PLY_Z, PLY_NX, PLY_NY, PLY_NZ, PLY_U, PLY_V, PLY_R, PLY_G, PLY_B, PLY_A, PLY_VALUES,
-    PLY_INDICES, PLY_TEXCOORD, PLY_TEXNUMBER, PLY_STRIPS, PLY_OTHER
+    PLY_INDICES, PLY_TEXCOORD, PLY_TEXNUMBER, PLY_STRIPS, PLY_INTENSITY, PLY_OTHER
 } ply_use;
 
 typedef struct ply_property {
@@ -49,6 +49,8 @@ typedef struct ply_reader {
 svo_result ply_read_header(ply_reader *r, svo_error *err);
 uint32_t ply_type_size(ply_type t);
 bool ply_is_integer(ply_type t);
+/* A binary value; big: big-endian. */
+double ply_load(const uint8_t *p, ply_type type, bool big);
 
 /* Read the vertices or faces at r->p in parallel. *done is false, and r->p and the soup are as before, when that is not possible. */
 svo_result ply_read_fast(ply_reader *r, const ply_element *e, bool *done, svo_error *err);

@@ -40,7 +40,7 @@ struct ply_lines {
 
 static void give_up(fast_job *j) { __atomic_store_n(&j->irregular, true, __ATOMIC_RELAXED); }
 
-static inline double load(const uint8_t *p, ply_type type, bool big)
+double ply_load(const uint8_t *p, ply_type type, bool big)
 {
     uint64_t bits;
     float f;
@@ -132,7 +132,7 @@ static svo_result binary_vertices(void *user, uint64_t begin, uint64_t end, uint
         const uint8_t *p = j->r->p + row * j->row_bytes;
         for (uint32_t i = 0; i < e->property_count; i++) {
             const ply_property *q = &e->properties[i];
-            if (q->use < PLY_VALUES) v[q->use] = load(p, q->type, big);
+            if (q->use < PLY_VALUES) v[q->use] = ply_load(p, q->type, big);
             p += ply_type_size(q->type);
         }
         put_vertex(j, row, v);
@@ -170,7 +170,7 @@ static svo_result binary_faces(void *user, uint64_t begin, uint64_t end, uint32_
                 p += ply_type_size(q->type);
                 continue;
             }
-            if (load(p, q->list, big) != (double)length) {
+            if (ply_load(p, q->list, big) != (double)length) {
                 give_up(j);
                 return SVO_OK;
             }
@@ -184,7 +184,7 @@ static svo_result binary_faces(void *user, uint64_t begin, uint64_t end, uint32_
                 }
             } else {
                 for (uint32_t k = 0; k < length; k++, p += ply_type_size(q->type)) {
-                    double index = load(p, q->type, big);
+                    double index = ply_load(p, q->type, big);
                     bool fits = index >= 0 && index < (double)j->vertices;
                     good &= fits;
                     to[k] = fits ? (uint32_t)index : 0;
@@ -214,7 +214,7 @@ static svo_result read_binary(fast_job *j, bool faces, bool *done, svo_error *er
                 continue;
             }
             if (!ply_is_integer(q->list) || left < j->row_bytes + ply_type_size(q->list)) return SVO_OK;
-            double length = load(p + j->row_bytes, q->list, r->big_endian);
+            double length = ply_load(p + j->row_bytes, q->list, r->big_endian);
             if (!(length >= 3) || length > 255) return SVO_OK;
             j->list_length = (uint32_t)length;
             j->row_bytes += ply_type_size(q->list) + j->list_length * (uint64_t)ply_type_size(q->type);

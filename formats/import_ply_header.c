@@ -35,6 +35,7 @@ static ply_use use_of(ply_kind kind, const char *p, size_t n, bool list)
         {"u", PLY_U}, {"s", PLY_U}, {"texture_u", PLY_U}, {"v", PLY_V}, {"t", PLY_V}, {"texture_v", PLY_V},
         {"red", PLY_R}, {"r", PLY_R}, {"diffuse_red", PLY_R}, {"green", PLY_G}, {"g", PLY_G}, {"diffuse_green", PLY_G},
         {"blue", PLY_B}, {"b", PLY_B}, {"diffuse_blue", PLY_B}, {"alpha", PLY_A}, {"a", PLY_A},
+        {"intensity", PLY_INTENSITY}, {"scalar_Intensity", PLY_INTENSITY}, {"scalar_intensity", PLY_INTENSITY}, {"reflectance", PLY_INTENSITY},
     }, lists[] = {{"vertex_indices", PLY_INDICES}, {"vertex_index", PLY_INDICES}, {"texcoord", PLY_TEXCOORD}};
     if (list) {
         for (size_t i = 0; i < sizeof lists / sizeof *lists; i++)

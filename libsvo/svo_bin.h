@@ -15,6 +15,12 @@ typedef struct svo_grid {
     uint32_t depth;
 } svo_grid;
 
+/* The grid of something with these bounds (any false: of nothing): its longest side is 2^depth voxels, or with a voxel_size > 0 voxels of that size on multiples of
+ * it. SVO_LIMIT where the extent or the number of cells is beyond what can be. */
+svo_result svo_grid_plan(bool any, const double low[3], const double high[3], uint32_t depth, double voxel_size, svo_grid *out, svo_error *err);
+/* The cell that holds a point inside the bounds: floor((p - origin) / size) in exact arithmetic, clamped into the grid. */
+void svo_grid_cell(const svo_grid *g, const double p[3], uint32_t cell[3]);
+
 /* The snap: v = (p - origin) / size, q = 2 floor(128 v) + 1 in units of 1/256 voxel, clamped into the grid. */
 void svo_grid_snap(const svo_grid *g, svo_vec3 p, int32_t q[3]);
 

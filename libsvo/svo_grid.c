@@ -52,6 +52,38 @@ static svo_result grid_by_size(const double low[3], const double high[3], double
     return SVO_OK;
 }
 
+svo_result svo_grid_plan(bool any, const double low[3], const double high[3], uint32_t depth, double voxel_size, svo_grid *out, svo_error *err)
+{
+    const double zero[3] = {0, 0, 0};
+    svo_grid g = {.size = ldexp(1, -(int)depth), .depth = depth};
+    if (voxel_size != 0) SVO_TRY(grid_by_size(any ? low : zero, any ? high : zero, voxel_size, &g, err));
+    else if (any) SVO_TRY(grid_by_depth(low, high, depth, &g, err));
+    *out = g;
+    return SVO_OK;
+}
+
+/* Is p - origin >= k * size, exactly? k * size is within a few units in the last place of p - origin. */
+static bool reaches(double p, double origin, double k, double size)
+{
+    const double d = p - origin, back = p - d, rest = (p - (d + back)) + (back - origin); /* d + rest = p - origin */
+    const double product = k * size, low = fma(k, size, -product);                         /* product + low = k * size */
+    const double first = d - product;                                                      /* exact: they are close */
+    const double t = rest - low, virtual = rest - t, u = (rest - (t + virtual)) + (virtual - low);
+    const double v = first + t, again = v - first, w = (first - (v - again)) + (t - again);
+    return v + (w + u) >= 0;
+}
+
+void svo_grid_cell(const svo_grid *g, const double p[3], uint32_t cell[3])
+{
+    const double last = ldexp(1, (int)g->depth) - 1, near = ldexp(1, -28); /* the quotient is within 2^-30 */
+    for (int i = 0; i < 3; i++) {
+        const double q = (p[i] - g->origin[i]) / g->size, k = floor(q + 0.5);
+        double c = floor(q);
+        if (k > 0 && fabs(q - k) < near) c = reaches(p[i], g->origin[i], k, g->size) ? k : k - 1;
+        cell[i] = c > 0 ? c < last ? (uint32_t)c : (uint32_t)last : 0;
+    }
+}
+
 /* What the materials in use say about one channel. */
 typedef struct uses { bool varies, first_seen; float value[3]; } uses;
 
@@ -170,13 +202,8 @@ svo_result svo_voxelize_plan(const svo_mesh *mesh, const svo_voxelize_options *o
     double low[3], high[3];
     bool any = false;
     svo_result r = svoi_bounds(&p, options->threads, options->allocator, &any, low, high, err);
-    svo_grid g = {.size = ldexp(1, -(int)options->depth), .depth = options->depth};
-    if (r == SVO_OK && options->voxel_size != 0) {
-        if (!any) low[0] = low[1] = low[2] = high[0] = high[1] = high[2] = 0;
-        r = grid_by_size(low, high, options->voxel_size, &g, err);
-    } else if (r == SVO_OK && any) {
-        r = grid_by_depth(low, high, options->depth, &g, err);
-    }
+    svo_grid g = {0};
+    if (r == SVO_OK) r = svo_grid_plan(any, low, high, options->depth, options->voxel_size, &g, err);
     svo_tree_info planned = {.depth = g.depth, .surface = options->surface, .fill = options->fill};
     for (int i = 0; i < 3; i++) {
         planned.voxel_to_world[5 * i] = g.size;

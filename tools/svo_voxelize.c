@@ -13,6 +13,7 @@
 #include "voxelize_cells.h"
 #include "voxelize_estimate.h"
 #include "voxelize_join.h"
+#include "voxelize_points.h"
 #include "voxelize_shard.h"
 #include "voxelize_sources.h"
 
@@ -42,6 +43,9 @@ typedef struct tool_options {
     bool dry_run, ignore_free_space;
     double threshold;
     bool has_threshold;
+    const char *columns;
+    uint64_t min_points;
+    bool has_min_points;
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
@@ -383,7 +387,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.depth = 10, .attributes = "auto", .reference = 2048};
+    tool_options o = {.depth = 10, .attributes = "auto", .reference = 2048, .min_points = 1};
     cli_option options[] = {
         {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth, .no_default = true,
          .help = "The longest side of the bounding box becomes 2^D voxels."},
@@ -401,6 +405,10 @@ int main(int argc, char **argv)
          .help = "Form of the file: fast to read and write, or small (geometry about a third of the bytes, 10 times the time)."},
         {.name = "threshold", .kind = CLI_DOUBLE, .value = &o.threshold, .argument = "X", .seen = &o.has_threshold, .no_default = true,
          .help = "Of a NRRD volume: cells with at least this value are voxels; without it, those above 0."},
+        {.name = "columns", .kind = CLI_TEXT, .value = &o.columns, .argument = "LIST", .no_default = true,
+         .help = "Of points as text: what each column is, of x y z r g b nx ny nz i and -, such as x,y,z,-,r,g,b; guessed without it."},
+        {.name = "min-points", .kind = CLI_U64, .value = &o.min_points, .argument = "N", .min = 1, .max = 4294967295.0, .seen = &o.has_min_points,
+         .help = "Of points: how many a cell must hold to become a voxel."},
         {.name = "shard", .kind = CLI_TEXT, .value = &o.shard, .argument = "i/N", .no_default = true,
          .help = "Make only part i of N (1..N) of the octree, to be joined by svo-merge; auto takes i and N from a Slurm job array."},
         {.name = "temp", .kind = CLI_TEXT, .value = &o.temp, .argument = "DIR", .no_default = true,
@@ -425,7 +433,8 @@ int main(int argc, char **argv)
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "Reads .gltf .glb .obj .ply .stl .off .drc; several inputs are placed together in one grid. Vertices are snapped to 1/128 voxel, "
-                   "then the voxels are exactly those that the triangles meet. Voxels of .vox, binvox and NRRD files (one alone) are taken as they are.",
+                   "then the voxels are exactly those that the triangles meet. Voxels of .vox, binvox and NRRD files (one alone) are taken as they are. "
+                   "Points (PLY without faces, .xyz, .pts) make every cell that holds one a voxel, with the mean of their colours, normals and intensities.",
         .example = "svo-voxelize model.glb -o model.svo --depth 10\nsvo-voxelize a.obj b.obj -o both.svo --voxel-size 0.01 --attributes none",
         .min_inputs = 1,
         .max_inputs = -1,
@@ -457,6 +466,17 @@ int main(int argc, char **argv)
     }
     if (o.has_threshold) return cli_usage(&c, "--threshold is for NRRD volumes");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
+    const int points = voxelize_are_points(&c);
+    if (points < 0) return cli_usage(&c, "points and meshes are not voxelized together; svo-pack places the results in one scene");
+    if (points > 0) {
+        if (o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
+            return cli_usage(&c, "points have no surface: they are taken without --fill, --surface, --shard and --dry-run");
+        points_options p = {.depth = (uint32_t)o.depth, .voxel_size = o.has_size ? o.voxel_size : 0, .least = o.min_points, .small = o.disk != 0, .key = o.key, .attributes = o.attributes,
+                            .columns = o.columns, .depfile = o.depfile, .temp = o.temp, .temp_size = o.temp_size, .level = (int)o.level};
+        svo_result taken = voxelize_points(&c, &p, &err);
+        return cli_end(&c, taken, &err);
+    }
+    if (o.columns != NULL || o.has_min_points) return cli_usage(&c, "--columns and --min-points are for points");
     if (strstr(o.attributes, "bone") != NULL)
         return cli_usage(&c, "a bone channel is made by svo-skeleton --bind");
     if ((code = cli_take_channels(&c, o.attributes, &o.channels)) >= 0) return code;
