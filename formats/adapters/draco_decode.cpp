@@ -6,10 +6,14 @@
 #pragma GCC diagnostic ignored "-Wshadow"
 #endif
 #include <draco/compression/decode.h>
+#include <draco/compression/point_cloud/point_cloud_decoder.h>
+#include <draco/core/varint_decoding.h>
+#include <draco/metadata/metadata_decoder.h>
 #if defined(__GNUC__)
 #pragma GCC diagnostic pop
 #endif
 
+#include <algorithm>
 #include <cstring>
 
 namespace
@@ -41,10 +45,43 @@ void read_attribute(const char *path, const draco::Mesh &mesh, const draco::Poin
     }
 }
 
+/* Faces that a byte may stand for, beside some that a file of any size may have. Draco's coder can write any number of equal symbols into no
+ * bytes at all, so a count is never wrong for it, and it takes room for all faces before it reads the first. What its encoder makes of a
+ * plane with a regular grid, its best case, has 28 faces a byte (qp 11, cl 10); scans have less than 3. */
+constexpr uint64_t FACES_A_BYTE = 64, FACES_AT_LEAST = 65536;
+/* Bytes that Draco takes for a face, with the arrays made of its mesh (a grid of a million faces with positions alone: 95 to 110). */
+constexpr uint64_t FACE_COST = 160;
+
+bool read_count(draco::DecoderBuffer *b, bool fixed, uint32_t *out) { return fixed ? b->Decode(out) : draco::DecodeVarint<uint32_t>(out, b); }
+
+/* The largest of the counts of faces and points that stand at the head of a mesh's connectivity; 0 where the stream is no mesh, or ends
+ * before (Draco says what is wrong with it then). */
+uint64_t stated_count(const uint8_t *bytes, uint64_t size)
+{
+    draco::DecoderBuffer b;
+    draco::DracoHeader h;
+    b.Init(reinterpret_cast<const char *>(bytes), static_cast<size_t>(size));
+    if (!draco::PointCloudDecoder::DecodeHeader(&b, &h).ok() || h.encoder_type != draco::TRIANGULAR_MESH) return 0;
+    uint16_t version = DRACO_BITSTREAM_VERSION(h.version_major, h.version_minor);
+    b.set_bitstream_version(version);
+    if (version >= DRACO_BITSTREAM_VERSION(1, 3) && (h.flags & METADATA_FLAG_MASK) != 0) {
+        draco::GeometryMetadata metadata;
+        draco::MetadataDecoder decoder;
+        if (!decoder.DecodeGeometryMetadata(&b, &metadata)) return 0;
+    }
+    bool edgebreaker = h.encoder_method == draco::MESH_EDGEBREAKER_ENCODING;
+    bool old = version < DRACO_BITSTREAM_VERSION(2, 2);
+    bool fixed = edgebreaker ? version < DRACO_BITSTREAM_VERSION(2, 0) : old;
+    uint32_t first = 0, second = 0, added = 0;
+    uint8_t traversal;
+    if (edgebreaker && !b.Decode(&traversal)) return 0;
+    if (edgebreaker && old && !read_count(&b, fixed, &added)) return 0;
+    if (!read_count(&b, fixed, &first) || !read_count(&b, fixed, &second)) return 0;
+    return std::max({first, second, added});
+}
+
 std::unique_ptr<draco::Mesh> decode(const char *path, const uint8_t *bytes, uint64_t size)
 {
-    /* Draco's own counts are checked by it against the stream, but one input byte can still stand for many faces;
-     * a mesh of more than 2^32 corners could not be indexed anyway. */
     draco::DecoderBuffer buffer;
     buffer.Init(reinterpret_cast<const char *>(bytes), static_cast<size_t>(size));
     draco::Decoder decoder;
@@ -127,7 +164,7 @@ svo_result read_drc(const import_context *c, const uint8_t *bytes, uint64_t size
         return import_single_shape(c, nullptr, 0, out, err);
     }
     gltf_reserve reserve;
-    reserve.take(c, GLTF_DRACO_COST * size, "Draco data");
+    reserve.take(c, draco_cost(c->path, bytes, size), "Draco data");
     std::unique_ptr<draco::Mesh> mesh = decode(c->path, bytes, size);
     if (mesh->num_faces() == 0) return import_single_shape(c, nullptr, 0, out, err);
     svo_part *part = static_cast<svo_part *>(svo_calloc(c->allocator, 1, sizeof *part));
@@ -143,6 +180,15 @@ svo_result read_drc(const import_context *c, const uint8_t *bytes, uint64_t size
 }
 
 } // namespace
+
+uint64_t draco_cost(const char *path, const uint8_t *bytes, uint64_t size)
+{
+    uint64_t n = stated_count(bytes, size), most = FACES_AT_LEAST + FACES_A_BYTE * size;
+    if (n > most)
+        svo_throw(SVO_LIMIT, "%s: Draco data of %llu bytes states %llu faces or points; more than %llu of that size are not decoded (should this be no damage, store the mesh without Draco)", path,
+                  static_cast<unsigned long long>(size), static_cast<unsigned long long>(n), static_cast<unsigned long long>(most));
+    return n == 0 ? GLTF_DRACO_COST * size : 4 * size + FACE_COST * n;
+}
 
 void draco_decode_mesh(const char *path, const uint8_t *bytes, uint64_t size, std::vector<uint32_t> *indices, uint64_t *points,
                        std::vector<draco_attribute> *attributes)

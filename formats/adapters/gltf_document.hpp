@@ -159,6 +159,9 @@ struct draco_attribute {
     bool integral;            /* filled: values are raw integers */
     std::vector<float> values; /* filled: components per point */
 };
+/* Memory that decoding takes, at most, by the counts that the stream states; throws SVO_LIMIT for counts that no mesh has in so few bytes. To be asked
+ * before draco_decode_mesh, which believes them. */
+uint64_t draco_cost(const char *path, const uint8_t *bytes, uint64_t size);
 void draco_decode_mesh(const char *path, const uint8_t *bytes, uint64_t size, std::vector<uint32_t> *indices, uint64_t *points,
                        std::vector<draco_attribute> *attributes);
 

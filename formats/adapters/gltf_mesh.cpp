@@ -65,7 +65,7 @@ struct primitive_reader {
         }
         uint64_t size = 0;
         const uint8_t *bytes = gltf_view_bytes(d, extension.Get("bufferView").GetNumberAsInt(), &size, nullptr);
-        unpacked.take(d.context, GLTF_DRACO_COST * size, (where + ", as Draco data,").c_str());
+        unpacked.take(d.context, draco_cost(d.path(), bytes, size), (where + ", as Draco data,").c_str());
         std::sort(draco.begin(), draco.end(), [](const draco_attribute &a, const draco_attribute &b) { return a.id < b.id; });
         draco_decode_mesh(d.path(), bytes, size, &indices, &draco_points, &draco);
         gltf_charge(d, draco_points + indices.size());

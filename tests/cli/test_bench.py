@@ -108,7 +108,7 @@ def test_documents_grow_with_the_sweep(folder):
     command = [str(support.tools / "svo-bench"), str(ball), "--sweep", "depth", "--values", "4..14", "--repeat", "1", "-q"] + [str(a) for a in all_output(folder)]
     sweep = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        for _ in range(600):
+        for _ in range(3000):
             if (folder / "o.svg").exists() and len([x for x in rows_of(folder / "o.csv") if x["error"] == ""]) >= 2:
                 break
             check(sweep.poll() is None, "the sweep ended")
