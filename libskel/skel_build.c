@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "skeli_internal.h"
+#include "skeli_refine.h"
 #include "skel_solid.h"
 #include "skeli_solid.h"
 
@@ -22,6 +23,9 @@ svo_result skeli_check_options(const skel_options *o, svo_error *err)
     if (!(o->omega >= SKEL_MIN_OMEGA && o->omega <= SKEL_MAX_OMEGA))
         return svo_fail(err, SVO_INVALID_ARGUMENT, "omega must be %g to %g, not %g", SKEL_MIN_OMEGA, SKEL_MAX_OMEGA, o->omega);
     if (!(o->delta >= 0) || !isfinite(o->delta)) return svo_fail(err, SVO_INVALID_ARGUMENT, "delta must be 0 or more, not %g", o->delta);
+    for (uint32_t i = 0; i < o->refine_count; i++)
+        if (!(o->refine[i].omega >= SKEL_MIN_OMEGA && o->refine[i].omega <= SKEL_MAX_OMEGA))
+            return svo_fail(err, SVO_INVALID_ARGUMENT, "the omega of a refinement must be %g to %g, not %g", SKEL_MIN_OMEGA, SKEL_MAX_OMEGA, o->refine[i].omega);
     if (o->solid_divide > 64) return svo_fail(err, SVO_INVALID_ARGUMENT, "voxels of a solid are omega / 1 to omega / 64, not omega / %u", o->solid_divide);
     return SVO_OK;
 }
@@ -67,19 +71,24 @@ static svo_result keep_samples(const skeli_soup *mesh, const uint32_t *joint_of,
     return SVO_OK;
 }
 
-/* The curve, and how good it is. surface is made here and the caller's to free. */
-static svo_result curve(skeli_pool *pool, const skeli_soup *soup, const skeli_soup *mesh, const skeli_state *state, const double *position, uint64_t points, const uint32_t *corner,
-                        uint64_t triangles, const skel_options *o, uint32_t *joint_of, skeli_surface *surface, skel_skeleton *out, svo_error *err)
+/* The curve, and how good it is. surface is made here and the caller's to free. Refinement replaces mesh, joint_of and moved. */
+static svo_result curve(skeli_pool *pool, const skeli_soup *soup, skeli_model *m, const skeli_state *state, const double *position, uint64_t points, const uint32_t *corner,
+                        uint64_t triangles, const skel_options *o, skeli_surface *surface, skel_skeleton *out, svo_error *err)
 {
     skel_report *r = &out->report;
     double since = svo_seconds();
     bool needed = !o->skip_quality || o->place == SKEL_PLACE_INSIDE || o->solid_divide > 0;
     if (needed) SVO_TRY(skeli_surface_make(pool, soup, position, points, corner, triangles, r, o->threads, surface, err));
     skeli_phase(r, "surface", &since);
-    SVO_TRY(skeli_extract(pool, mesh, state, needed ? surface : NULL, o, out, joint_of, err));
+    m->surface = needed ? surface : NULL;
+    SVO_TRY(skeli_extract(pool, &m->mesh, state, m->surface, o, out, m->joint_of, err));
     skeli_phase(r, "extract", &since);
-    SVO_TRY(skeli_measure(pool, mesh, joint_of, out, err));
-    if (!o->skip_quality) SVO_TRY(skeli_quality_of(pool, surface, mesh, out, r->centre, r->unit, o->threads, &r->quality, err));
+    SVO_TRY(skeli_measure(pool, &m->mesh, m->joint_of, out, err));
+    if (o->refine_count > 0) {
+        SVO_TRY(skeli_refine(m, o, err));
+        skeli_phase(r, "refine", &since);
+    }
+    if (!o->skip_quality) SVO_TRY(skeli_quality_of(pool, surface, &m->mesh, out, r->centre, r->unit, o->threads, &r->quality, err));
     skeli_phase(r, "measure", &since);
     return SVO_OK;
 }
@@ -101,24 +110,25 @@ static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t po
     r->tessellated_vertices = mesh.vertex_count;
     r->tessellated_triangles = mesh.triangle_count;
     skeli_phase(r, "tessellate", &since);
-    uint32_t *joint_of = skeli_take(pool, mesh.vertex_count, sizeof *joint_of);
-    if (joint_of == NULL) return skeli_no_memory(err);
+    skeli_model model = {.pool = pool, .mesh = mesh, .moved = moved, .soup_vertices = soup.vertex_count, .s = out};
+    model.joint_of = skeli_take(pool, mesh.vertex_count, sizeof *model.joint_of);
+    if (model.joint_of == NULL) return skeli_no_memory(err);
     skeli_surface surface = {0};
     skeli_solid solid = {0};
     svo_result result = o->solid_divide > 0 ? skeli_solid_begin(o->allocator, &mesh, o->omega * SKEL_LATTICE, o->solid_divide, &solid, err) : SVO_OK;
     if (result == SVO_OK) result = skeli_contract(pool, &mesh, o, o->solid_divide > 0 ? &solid : NULL, r, &state, err);
     skeli_phase(r, "contract", &since);
-    if (result == SVO_OK) result = curve(pool, &soup, &mesh, &state, position, points, corner, triangles, o, joint_of, &surface, out, err);
+    if (result == SVO_OK) result = curve(pool, &soup, &model, &state, position, points, corner, triangles, o, &surface, out, err);
     if (result == SVO_OK && o->solid_divide > 0) result = skeli_solid_end(&solid, &surface, out, err);
     skeli_solid_free(&solid);
     skeli_surface_free(&surface);
     SVO_TRY(result);
-    if (o->keep_samples) SVO_TRY(keep_samples(&mesh, joint_of, out, err));
+    if (o->keep_samples) SVO_TRY(keep_samples(&model.mesh, model.joint_of, out, err));
     out->map = svo_alloc(out->allocator, points, sizeof *out->map);
     if (out->map == NULL) return skeli_no_memory(err);
     out->map_count = r->input_count = points;
     for (uint64_t i = 0; i < points; i++) {
-        out->map[i] = remap[i] == SVO_NONE ? SVO_NONE : joint_of[moved[remap[i]]];
+        out->map[i] = remap[i] == SVO_NONE ? SVO_NONE : model.joint_of[model.moved[remap[i]]];
         r->mapped_count += out->map[i] != SVO_NONE;
     }
     return SVO_OK;

@@ -36,6 +36,36 @@ typedef enum skel_place {
                              most of the curve is outside (a sheet), as the centroid */
 } skel_place;
 
+/* Refinement (Willcocks 2013, section 5.6): some bones are made again with another omega. What they are joined to stays as it is, bit for bit. */
+typedef enum skel_select {
+    SKEL_SELECT_BONES = 0, /* by number */
+    SKEL_SELECT_BOX = 1,   /* with their middle in a box */
+    SKEL_SELECT_BALL = 2,  /* with their middle in a ball */
+    SKEL_SELECT_THIN = 3,  /* the mean of whose joints' radii is at most so much */
+    SKEL_SELECT_ENDS = 4   /* from an end to the next branch */
+} skel_select;
+
+typedef struct skel_refine {
+    skel_select select;
+    double omega;         /* in units of the whole model, as skel_options.omega */
+    double where[6];      /* BOX: low, high; BALL: centre, radius (the model's coordinates); THIN: largest radius (units) */
+    uint32_t *range;      /* BONES: first, last, first, last, ...; numbers in the skeleton without refinement */
+    uint32_t range_count; /* pairs */
+    /* Filled in by the build. */
+    struct skel_refined {
+        uint32_t bones, joints_removed, joints_added; /* bones selected; a bone that several refinements select is the first one's */
+        uint32_t links;      /* bones that were added because the parts made anew would have come apart */
+        uint64_t iterations; /* sweeps of the contraction */
+        bool converged;
+        double error_before, error_after; /* reconstruction error in the mean of the surface of the selected bones, percent of the diagonal */
+    } result;
+} skel_refine;
+
+/* From text: SELECTION@OMEGA, several with `;` between: `ends`, `thin:R`, `box:X0,Y0,Z0,X1,Y1,Z1`, `ball:X,Y,Z,R`, or bone numbers as `3,7-12`.
+ * SVO_INVALID_ARGUMENT tells what is wrong. *out is freed by skel_refine_free. */
+svo_result skel_refine_parse(const char *text, const svo_allocator *a, skel_refine **out, uint32_t *count, svo_error *err);
+void skel_refine_free(const svo_allocator *a, skel_refine *list, uint32_t count);
+
 typedef struct skel_options {
     const svo_allocator *allocator; /* NULL = default */
     double omega;                   /* feature size in units, SKEL_MIN_OMEGA..SKEL_MAX_OMEGA */
@@ -49,6 +79,8 @@ typedef struct skel_options {
     skel_place place;
     uint32_t threads; /* 0 = all; no influence on the result */
     uint32_t solid_divide; /* > 0: fill `solid` of the skeleton with voxels of omega / solid_divide (skel_solid.h) */
+    skel_refine *refine; /* refine_count of them, one after the other; their results are filled in */
+    uint32_t refine_count;
     bool skip_quality; /* leave report.quality unmeasured */
     bool keep_samples; /* fill `samples` of the skeleton, which skel_bind.h needs */
     svo_warnings *warnings;

@@ -42,7 +42,7 @@ static void put_run(json_t *o, const skel_report *r)
     cli_put_text(o, "source", r->source == SKEL_SOURCE_VOXELS ? "voxels" : "mesh");
     cli_put_text(o, "method", r->method == SKEL_METHOD_LITERAL ? "literal" : "fast");
     cli_put_text(o, "normalisation", r->normalize == SKEL_NORMALIZE_BOX ? "box" : "ball");
-    cli_put_text(o, "joints_at", r->place == SKEL_PLACE_CONTRACTED ? "contracted position" : "centroid");
+    cli_put_text(o, "joints_at", r->place == SKEL_PLACE_CONTRACTED ? "contracted position" : r->place == SKEL_PLACE_INSIDE ? "middle of the solid" : "centroid");
     cli_put_f64(o, "omega", r->omega);
     cli_put_f64(o, "delta", r->delta);
     json_object_set_new(o, "centre", dump_reals(r->centre, 3));

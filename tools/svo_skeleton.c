@@ -144,6 +144,26 @@ static void report_components(json_t *output, const skel_skeleton *s)
     free(part);
 }
 
+static void report_refined(cli *c, const skel_options *o)
+{
+    json_t *list = json_array();
+    for (uint32_t i = 0; i < o->refine_count; i++) {
+        const struct skel_refined *r = &o->refine[i].result;
+        json_t *p = json_object();
+        cli_put_f64(p, "omega", o->refine[i].omega);
+        cli_put_u64(p, "bones_selected", r->bones);
+        cli_put_u64(p, "joints_removed", r->joints_removed);
+        cli_put_u64(p, "joints_added", r->joints_added);
+        cli_put_u64(p, "links", r->links);
+        cli_put_u64(p, "iterations", r->iterations);
+        json_object_set_new(p, "converged", json_boolean(r->converged));
+        cli_put_f64(p, "reconstruction_mean_before", r->error_before);
+        cli_put_f64(p, "reconstruction_mean_after", r->error_after);
+        json_array_append_new(list, p);
+    }
+    json_object_set_new(cli_section(c, "output"), "refined", list);
+}
+
 static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
 {
     const skel_report *r = &s->report;
@@ -369,7 +389,6 @@ static svo_result write_all(cli *c, const tool_options *o, outputs *out, const s
 
 static svo_result run(cli *c, const tool_options *o, svo_error *err)
 {
-    if (o->refine != NULL) return svo_fail(err, SVO_UNSUPPORTED, "--refine (other feature sizes for some bones) is not available in this version");
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     outputs out = {0};
@@ -377,7 +396,8 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     skel_skeleton s = {0};
     svo_mesh mesh = {0};
     skel_options options = library_options(c, o, &limit.base);
-    svo_result r = open_all(c, o, &out, err);
+    svo_result r = o->refine != NULL ? skel_refine_parse(o->refine, &limit.base, &options.refine, &options.refine_count, err) : SVO_OK;
+    if (r == SVO_OK) r = open_all(c, o, &out, err);
     if (r == SVO_OK) {
         cli_phase(c, "import");
         r = cli_about(c->inputs[0], build(c, &options, &mesh, &s, inputs, err), err);
@@ -390,6 +410,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         cli_put_text(how, "method", methods[o->method]);
         cli_put_text(how, "normalize", normalizations[o->normalize]);
         cli_put_text(how, "place", places[o->place]);
+        if (o->refine != NULL) cli_put_text(how, "refine", o->refine);
         char *provenance = cli_provenance(c, how, json_incref(inputs));
         uint64_t bytes = 0;
         cli_phase(c, "write");
@@ -397,8 +418,10 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         cli_phase(c, NULL);
         free(provenance);
         if (r == SVO_OK) report(c, &s, bytes);
+        if (r == SVO_OK && options.refine_count > 0) report_refined(c, &options);
     }
     skel_skeleton_free(&s);
+    skel_refine_free(&limit.base, options.refine, options.refine_count);
     svo_mesh_free(&mesh);
     fmt_output_discard(out.skel);
     fmt_output_discard(out.glb);
@@ -431,6 +454,8 @@ int main(int argc, char **argv)
         {.name = "search", .kind = CLI_CHOICE, .value = &o.search, .choices = searches, .argument = "S", .help = "Neighbour search; both give the same result."},
         {.name = "place", .kind = CLI_CHOICE, .value = &o.place, .choices = places, .argument = "P",
          .help = "inside: joints in the middle of the solid, ends out to the tips, bones kept inside; centroid: of the surface that belongs to them; contracted: where they were contracted to."},
+        {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "BONES@W", .no_default = true,
+         .help = "Make these bones again with omega W: 3,7-12 (numbers without refinement), ends, thin:R, ball:X,Y,Z,R or box:X0,Y0,Z0,X1,Y1,Z1; several with ; between."},
         {.name = "glb", .kind = CLI_TEXT, .value = &o.glb, .argument = "OUT.glb", .no_default = true, .group = "Output",
          .help = "Write the mesh with joints and weights as skinned glTF too (of voxels: the curve as lines)."},
         {.name = "obj", .kind = CLI_TEXT, .value = &o.obj, .argument = "OUT.obj", .no_default = true, .group = "Output", .help = "Write the curve as OBJ lines too."},
@@ -446,7 +471,6 @@ int main(int argc, char **argv)
         {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Output", .help = "Write a closed surface of the mesh, its holes filled, as PLY."},
         {.name = "solid-divide", .kind = CLI_U64, .value = &o.solid_divide, .min = 1, .max = 64, .argument = "N", .group = "Output",
          .help = "Voxels of --solid and --reconstruct along an edge of omega."},
-        {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "WHAT", .no_default = true, .group = "Not available", .help = "Other feature sizes for some bones."},
     };
     cli_tool tool = {
         .name = "svo-skeleton",

@@ -275,6 +275,35 @@ def test_quality_in_the_report(folder):
     check(abs(e["inscribed_balls_max"] - 100 * corner / diagonal) < 1, (e["inscribed_balls_max"], 100 * corner / diagonal))
 
 
+def test_refinement(folder):
+    """Half of a tube at another omega: the other half's joints are the same numbers, the file says how it was made, and everything else follows."""
+    tube_obj(folder / "tube.obj")
+    run("svo-voxelize", folder / "tube.obj", "-o", folder / "t.svo", "--depth", 6, "--attributes", "none")
+    for name, source in (("m", folder / "tube.obj"), ("v", folder / "t.svo")):
+        args = ["svo-skeleton", source, "--omega", 0.1]
+        run(*args, "-o", folder / (name + "0.skel"), "--obj", folder / "0.obj", "-f")
+        more = ("--glb", folder / "t.glb", "--bind", folder / "t.svo", "--bound", folder / "b.svo") if name == "m" else ()
+        text = "box:2,-9,-9,9,9,9@0.03"
+        r = run(*args, "-o", folder / (name + "1.skel"), "--obj", folder / "1.obj", "--report", folder / "r.json", "-f", "--refine", text, *more)
+        report = support.report(folder / "r.json")
+        out = report["output"]
+        points0, bones0 = curve(folder / "0.obj")
+        points1, bones1 = curve(folder / "1.obj")
+        check(topology(points1, bones1) == (1, 2, 0, 0) == (out["components"], out["ends"], out["branches"], out["loops"]), out)
+        check({p for p in points0 if p[0] < 1.2} == {p for p in points1 if p[0] < 1.2}, (points0, points1))
+        check(len(points1) - len(points0) == out["refined"][0]["joints_added"] - out["refined"][0]["joints_removed"] > 0, out["refined"])
+        check(out["refined"][0]["omega"] == 0.03 and out["refined"][0]["bones_selected"] > 0, out["refined"])
+        dump = json.loads(run("svo-dump", folder / (name + "1.skel"), "--json").out)
+        check(dump["provenance"]["options"]["refine"] == text, dump["provenance"])
+        run("svo-dump", folder / (name + "1.skel"), "--validate")
+        if more:
+            run("svo-dump", folder / "b.svo", "--validate")
+            check(out["bound"]["bones_used"] == len(bones1), out["bound"])
+            check(len(Glb(folder / "t.glb").json["skins"][0]["joints"]) == len(points1), "joints")
+    r = run("svo-skeleton", folder / "tube.obj", "-o", folder / "n.skel", "--omega", 0.1, "--refine", "ball:99,99,99,1@0.02")
+    check("selects no bone" in r.err, r)
+
+
 def test_exit_codes(folder):
     tube_obj(folder / "tube.obj")
     out = folder / "x.skel"
@@ -302,8 +331,9 @@ def test_exit_codes(folder):
     expect(3, folder / "empty.obj", "-o", out, "--omega", 0.03)
     (folder / "bad.svo").write_bytes(b"\x89SVX\r\n\x1a\n" + bytes(300))
     expect(3, folder / "bad.svo", "-o", out, "--omega", 0.03)
-    r = expect(5, folder / "tube.obj", "-o", out, "--omega", 0.03, "--refine", folder / "y")
-    check("--refine" in r.err, r)
+    for text, says in (("tips@0.01", "selects nothing"), ("ends", "@"), ("ends@9", "0.0001 to 4"), ("0-999@0.01", "no bone 999")):
+        r = expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--refine", text)
+        check(says in r.err, r)
     expect(1, folder / "tube.obj", "-o", out, "--omega", 0.03, "--solid", out)
     expect(6, folder / "tube.obj", "-o", out, "--omega", 0.001, "--max-vertices", 4000000, "--solid", folder / "y", "--solid-divide", 64)
     r = expect(6, folder / "tube.obj", "-o", out, "--omega", 0.0002, "--max-vertices", 10000)
