@@ -4,6 +4,7 @@
 
 #include "fmt_container.h"
 #include "skel_build.h"
+#include "skel_segment.h"
 #include "skel_skin.h"
 #include "skel_solid.h"
 
@@ -38,6 +39,10 @@ svo_result fmt_export_skel_swc(fmt_output *out, const skel_skeleton *s, const sk
 
 /* A reconstructed surface as binary PLY: x y z (double), invented (uchar: 1 where a hole was closed); triangles. */
 svo_result fmt_export_closed_ply(fmt_output *out, const skel_closed *c, svo_error *err);
+
+/* The surface in segments as binary PLY: vertices (x y z double, red green blue, segment; one for each segment that meets there), triangles (with red green blue, segment,
+ * bone or -1). Triangles that the skeleton dropped are left out. */
+svo_result fmt_export_segments_ply(fmt_output *out, const skel_segments *s, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -7,6 +7,7 @@
 #include "skeli_internal.h"
 #include "skeli_refine.h"
 #include "skel_solid.h"
+#include "skeli_segment.h"
 #include "skeli_solid.h"
 
 skel_options skel_default_options(void)
@@ -249,6 +250,17 @@ svo_result skel_reconstruct(const svo_mesh *mesh, const skel_skeleton *s, const 
     flat f;
     svo_result result = flat_make(mesh, a, &f, err);
     if (result == SVO_OK) result = skeli_reconstruct(f.position, f.points, f.corner, f.triangles, s, a, out, err);
+    flat_free(&f, a);
+    return result;
+}
+
+svo_result skel_segments_make(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_segments *out, svo_error *err)
+{
+    flat f;
+    svo_result result = flat_make(mesh, a, &f, err);
+    if (result == SVO_OK && (s->report.source != SKEL_SOURCE_MESH || s->map_count != f.points))
+        result = svo_fail(err, SVO_INVALID_ARGUMENT, "the skeleton was not built from this mesh");
+    if (result == SVO_OK) result = skeli_segments(f.position, f.points, f.corner, f.triangles, s, a, out, err);
     flat_free(&f, a);
     return result;
 }

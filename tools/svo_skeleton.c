@@ -1,4 +1,5 @@
 /* svo-skeleton: the curve skeleton of a mesh or of voxels. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -23,7 +24,7 @@ typedef struct tool_options {
     int method, normalize, search, place;
     const char *glb, *obj, *swc;
     uint64_t influences, smoothing, solid_divide;
-    const char *bind, *bound, *solid, *reconstruct, *refine;
+    const char *bind, *bound, *solid, *reconstruct, *refine, *segments;
 } tool_options;
 
 static bool progress(void *user, double fraction)
@@ -232,7 +233,7 @@ static void report(cli *c, const skel_skeleton *s, uint64_t bytes)
 
 /* --- output ------------------------------------------------------------------------------------------------------- */
 
-typedef struct outputs { fmt_output *skel, *glb, *obj, *swc, *bound, *solid, *closed; } outputs;
+typedef struct outputs { fmt_output *skel, *glb, *obj, *swc, *bound, *solid, *closed, *segments; } outputs;
 
 /* All are opened before any work is done, so that a wrong path costs no time. */
 static svo_result open_all(const cli *c, const tool_options *o, outputs *out, svo_error *err)
@@ -243,6 +244,7 @@ static svo_result open_all(const cli *c, const tool_options *o, outputs *out, sv
     if (o->swc != NULL) SVO_TRY(fmt_output_open(o->swc, c->force, &out->swc, err));
     if (o->bound != NULL) SVO_TRY(fmt_output_open(o->bound, c->force, &out->bound, err));
     if (o->solid != NULL) SVO_TRY(fmt_output_open(o->solid, c->force, &out->solid, err));
+    if (o->segments != NULL) SVO_TRY(fmt_output_open(o->segments, c->force, &out->segments, err));
     if (o->reconstruct != NULL) SVO_TRY(fmt_output_open(o->reconstruct, c->force, &out->closed, err));
     return SVO_OK;
 }
@@ -356,6 +358,41 @@ static svo_result write_closed(cli *c, fmt_output *out, const svo_mesh *mesh, co
     return r;
 }
 
+static svo_result write_segments(cli *c, fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, svo_error *err)
+{
+    skel_segments g;
+    if (s->report.source != SKEL_SOURCE_MESH) return svo_fail(err, SVO_UNSUPPORTED, "--segments colours the triangles of a mesh; of voxels, --bind gives each its bone");
+    SVO_TRY(skel_segments_make(mesh, s, s->allocator, &g, err));
+    svo_result r = fmt_export_segments_ply(out, &g, err);
+    json_t *j = json_object(), *list = json_array();
+    cli_put_u64(j, "bytes", fmt_output_offset(out));
+    cli_put_u64(j, "segments", g.count);
+    cli_put_u64(j, "colors", g.color_count);
+    cli_put_u64(j, "islands_moved", g.islands);
+    uint64_t apart = 0;
+    for (uint32_t i = 0; i < g.count; i++) {
+        const skel_segment *k = &g.segment[i];
+        apart += k->pieces > 1;
+        if (i >= MAX_COMPONENTS) continue;
+        json_t *o = json_object();
+        char color[8];
+        snprintf(color, sizeof color, "#%06x", k->color & 0xffffff);
+        cli_put_u64(o, "first_joint", k->first);
+        cli_put_u64(o, "last_joint", k->last);
+        cli_put_u64(o, "bones", k->bones);
+        cli_put_u64(o, "triangles", k->triangles);
+        cli_put_f64(o, "area", k->area);
+        cli_put_u64(o, "pieces", k->pieces);
+        cli_put_text(o, "color", color);
+        json_array_append_new(list, o);
+    }
+    cli_put_u64(j, "segments_in_pieces", apart);
+    json_object_set_new(j, "list", list);
+    json_object_set_new(cli_section(c, "output"), "segmentation", j);
+    skel_segments_free(&g);
+    return r;
+}
+
 static svo_result write_all(cli *c, const tool_options *o, outputs *out, const svo_mesh *mesh, const skel_skeleton *s, const char *provenance, uint64_t *bytes, svo_error *err)
 {
     SVO_TRY(fmt_skel_write(out->skel, s, provenance, err));
@@ -376,10 +413,12 @@ static svo_result write_all(cli *c, const tool_options *o, outputs *out, const s
     }
     if (r == SVO_OK && out->solid != NULL) r = write_solid(c, out->solid, s, provenance, err);
     if (r == SVO_OK && out->closed != NULL) r = write_closed(c, out->closed, mesh, s, err);
+    if (r == SVO_OK && out->segments != NULL) r = write_segments(c, out->segments, mesh, s, err);
     if (r != SVO_OK) return r;
     *bytes = fmt_output_offset(out->skel);
     SVO_TRY(commit(&out->solid, err));
     SVO_TRY(commit(&out->closed, err));
+    SVO_TRY(commit(&out->segments, err));
     SVO_TRY(commit(&out->glb, err));
     SVO_TRY(commit(&out->obj, err));
     SVO_TRY(commit(&out->swc, err));
@@ -430,6 +469,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     fmt_output_discard(out.bound);
     fmt_output_discard(out.solid);
     fmt_output_discard(out.closed);
+    fmt_output_discard(out.segments);
     json_decref(inputs);
     if (r == SVO_OUT_OF_MEMORY && c->memory != 0) r = svo_fail(err, SVO_LIMIT, "--memory is too small for this model and omega");
     return r;
@@ -469,6 +509,8 @@ int main(int argc, char **argv)
         {.name = "bound", .kind = CLI_TEXT, .value = &o.bound, .argument = "OUT.svo", .no_default = true, .group = "Output", .help = "Where --bind writes the octree."},
         {.name = "solid", .kind = CLI_TEXT, .value = &o.solid, .argument = "OUT.svo", .no_default = true, .group = "Output", .help = "Write an octree of what the surface encloses, holes or not: every voxel that it passes while it is contracted."},
         {.name = "reconstruct", .kind = CLI_TEXT, .value = &o.reconstruct, .argument = "OUT.ply", .no_default = true, .group = "Output", .help = "Write a closed surface of the mesh, its holes filled, as PLY."},
+        {.name = "segments", .kind = CLI_TEXT, .value = &o.segments, .argument = "OUT.ply", .no_default = true, .group = "Output",
+         .help = "Write the mesh as PLY with a colour for each branch of the curve."},
         {.name = "solid-divide", .kind = CLI_U64, .value = &o.solid_divide, .min = 1, .max = 64, .argument = "N", .group = "Output",
          .help = "Voxels of --solid and --reconstruct along an edge of omega."},
     };
@@ -490,7 +532,7 @@ int main(int argc, char **argv)
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
     if (!o.has_omega) return cli_usage(&c, "--omega is needed");
     if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
-    const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct};
+    const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct, o.segments};
     for (int i = 0; i < (int)(sizeof files / sizeof *files); i++)
         for (int k = 0; k < i; k++)
             if (files[i] != NULL && files[k] != NULL && strcmp(files[i], files[k]) == 0) return cli_usage(&c, "two outputs name the same file, %s", files[i]);

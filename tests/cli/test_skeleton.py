@@ -304,6 +304,90 @@ def test_refinement(folder):
     check("selects no bone" in r.err, r)
 
 
+def read_segments(path):
+    """Vertices (place, colour, segment) and faces (corners, colour, segment, bone) of --segments."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    vertices, faces = (int(head.split(b"element %s " % k)[1].split()[0]) for k in (b"vertex", b"face"))
+    check(len(body) == 31 * vertices + 24 * faces, head)
+    v = [(r[:3], r[3:6], r[6]) for r in struct.iter_unpack("<dddBBBi", body[: 31 * vertices])]
+    f = [(r[1:4], r[4:7], r[7], r[8]) for r in struct.iter_unpack("<B3IBBBii", body[31 * vertices :])]
+    return v, f
+
+
+def check_segments(path, report, obj, whole=True):
+    """What holds for every segmentation; returns the pieces of each segment, found from the file alone."""
+    vertices, faces = read_segments(path)
+    points, bones = curve(obj)
+    listed = report["output"]["segmentation"]["list"]
+    degree = [sum(j in b for b in bones) for j in range(len(points))]
+    area, count, parent = [0.0] * len(listed), [0] * len(listed), list(range(len(faces)))
+
+    def root(i):
+        while parent[i] != i:
+            parent[i] = parent[parent[i]]
+            i = parent[i]
+        return i
+
+    sides, colors = {}, {}
+    for i, (corners, color, segment, bone) in enumerate(faces):
+        p = [vertices[c][0] for c in corners]
+        check(all(vertices[c][1] == color and vertices[c][2] == segment for c in corners), (i, segment))
+        check("#%02x%02x%02x" % color == listed[segment]["color"] and -1 <= bone < len(bones), (color, bone))
+        u, w = ([p[k][e] - p[0][e] for e in range(3)] for k in (1, 2))
+        area[segment] += 0.5 * math.hypot(u[1] * w[2] - u[2] * w[1], u[2] * w[0] - u[0] * w[2], u[0] * w[1] - u[1] * w[0])
+        count[segment] += 1
+        for k in range(3):
+            if p[k] != p[(k + 1) % 3]:
+                sides.setdefault(frozenset((p[k], p[(k + 1) % 3])), []).append(i)
+    for side in sides.values():
+        for i in side:
+            for k in side:
+                if faces[i][2] == faces[k][2]:
+                    parent[root(i)] = root(k)
+                else:
+                    check(faces[i][1] != faces[k][1], "segments %d and %d meet and look alike" % (faces[i][2], faces[k][2]))
+    pieces = [len({root(i) for i in range(len(faces)) if faces[i][2] == g}) for g in range(len(listed))]
+    check(pieces == [g["pieces"] for g in listed] and count == [g["triangles"] for g in listed], (pieces, listed))
+    check(all(abs(a - g["area"]) <= 1e-6 * sum(area) for a, g in zip(area, listed)), (area, listed))
+    check(all(g["bones"] == 0 or (g["first_joint"] == g["last_joint"]) or (degree[g["first_joint"]] != 2 and degree[g["last_joint"]] != 2) for g in listed), listed)
+    check(sum(g["bones"] for g in listed) == len(bones), listed)
+    return pieces, area
+
+
+def test_segments(folder):
+    """Three tubes that meet: three segments of a third each, each in one piece."""
+    lines, base = [], 0
+    tube_obj(folder / "t.obj", n=40)
+    for arm in range(3):
+        c, d = math.cos(2 * math.pi * arm / 3), math.sin(2 * math.pi * arm / 3)
+        rows = [line.split() for line in (folder / "t.obj").read_text().splitlines()]
+        for w in rows:
+            if w[0] == "v":
+                x, y = float(w[1]), float(w[2])
+                lines.append("v %.17g %.17g %s" % (c * x - d * y, d * x + c * y, w[3]))
+            else:
+                lines.append("f " + " ".join(str(int(i) + base) for i in w[1:]))
+        base += sum(w[0] == "v" for w in rows)
+    (folder / "s.obj").write_text("\n".join(lines) + "\n")
+    run("svo-skeleton", folder / "s.obj", "-o", folder / "s.skel", "--omega", 0.08, "--obj", folder / "c.obj", "--segments", folder / "s.ply", "--report", folder / "r.json")
+    report = support.report(folder / "r.json")
+    pieces, area = check_segments(folder / "s.ply", report, folder / "c.obj")
+    check(len(pieces) == 3 and max(area) < 1.2 * min(area), area)
+    check(len({g["color"] for g in report["output"]["segmentation"]["list"]}) == 3, report)
+    run("svo-voxelize", folder / "s.ply", "-o", folder / "s.svo", "--depth", 5)  # importers take it
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "v.svo", "--depth", 5)
+    r = tool("svo-skeleton", folder / "v.svo", "-o", folder / "v.skel", "--omega", 0.1, "--segments", folder / "v.ply")
+    check(r.code == 5 and "--bind" in r.err and not (folder / "v.ply").exists(), r)
+
+
+def test_segments_of_real_models(folder):
+    for model, closed in (("A_organic/hand_closed/hand_closed.obj", True), ("A_organic/fertility/fertility.off", True), ("B_damaged/teapot/teapot.obj", False), ("B_damaged/busted/busted.STL", False)):
+        path = support.model(model)
+        run("svo-skeleton", path, "-o", folder / "m.skel", "-f", "--omega", 0.03, "--obj", folder / "c.obj", "--segments", folder / "m.ply", "--report", folder / "r.json")
+        pieces, _ = check_segments(folder / "m.ply", support.report(folder / "r.json"), folder / "c.obj")
+        check(not closed or pieces == [1] * len(pieces), (model, pieces))
+
+
 def test_exit_codes(folder):
     tube_obj(folder / "tube.obj")
     out = folder / "x.skel"
