@@ -1,4 +1,4 @@
-/* binvox (Patrick Min's run-length code), NRRD (teem's description of the header), and what all voxel files have in common; .vox is in import_vox.c. */
+/* binvox (Patrick Min's run-length code), and what it has in common with .vox, which is in import_vox.c. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,7 +12,7 @@ static const uint64_t MOST = (uint64_t)1 << 31;
 
 bool fmt_is_voxels(const uint8_t *data, uint64_t size)
 {
-    return size >= 8 && (memcmp(data, "VOX ", 4) == 0 || memcmp(data, "#binvox", 7) == 0 || memcmp(data, "NRRD000", 7) == 0);
+    return size >= 8 && (memcmp(data, "VOX ", 4) == 0 || memcmp(data, "#binvox", 7) == 0);
 }
 
 svo_result import_cell(fmt_voxels *v, uint32_t x, uint32_t y, uint32_t z, const uint8_t *rgb, svo_error *err)
@@ -103,132 +103,6 @@ static svo_result read_binvox(const uint8_t *data, uint64_t size, fmt_voxels *v,
     return SVO_OK;
 }
 
-/* --- NRRD --- */
-
-typedef struct nrrd {
-    uint32_t bytes;
-    bool is_signed, is_float, big, rgba, raw, has_type, has_sizes, has_dimension, has_directions;
-    uint64_t size[4];
-    int dimension;
-    double directions[9], origin[3];
-} nrrd;
-
-static bool read_type(const char *t, nrrd *n)
-{
-    static const struct { const char *names[8]; uint32_t bytes; bool is_signed, is_float; } types[] = {
-        {{"signed char", "int8", "int8_t"}, 1, true, false}, {{"uchar", "unsigned char", "uint8", "uint8_t"}, 1, false, false},
-        {{"short", "short int", "signed short", "signed short int", "int16", "int16_t"}, 2, true, false},
-        {{"ushort", "unsigned short", "unsigned short int", "uint16", "uint16_t"}, 2, false, false},
-        {{"int", "signed int", "int32", "int32_t"}, 4, true, false}, {{"uint", "unsigned int", "uint32", "uint32_t"}, 4, false, false},
-        {{"float"}, 4, true, true}, {{"double"}, 8, true, true}};
-    for (size_t i = 0; i < sizeof types / sizeof types[0]; i++)
-        for (int k = 0; k < 8 && types[i].names[k] != NULL; k++)
-            if (strcmp(types[i].names[k], t) == 0) {
-                n->bytes = types[i].bytes, n->is_signed = types[i].is_signed, n->is_float = types[i].is_float;
-                return true;
-            }
-    return false;
-}
-
-static svo_result read_field(const char *line, nrrd *n, svo_error *err)
-{
-    const char *colon = strstr(line, ": ");
-    if (line[0] == '#' || strstr(line, ":=") != NULL) return SVO_OK;
-    if (colon == NULL) return svo_fail(err, SVO_INVALID_DATA, "NRRD header: \"%.60s\" is no field", line);
-    const char *value = colon + 2;
-    size_t key = (size_t)(colon - line);
-#define IS(word) (key == strlen(word) && memcmp(line, word, key) == 0)
-    bool good = true;
-    double v[9];
-    if (IS("type")) {
-        good = n->has_type = read_type(value, n);
-    } else if (IS("dimension")) {
-        good = n->has_dimension = numbers(value, v, 1) == 1 && (v[0] == 3 || v[0] == 4);
-        n->dimension = good ? (int)v[0] : 0;
-    } else if (IS("sizes")) {
-        int count = numbers(value, v, 4);
-        good = n->has_sizes = n->has_dimension && count == n->dimension;
-        if (good && count == 4) {
-            n->rgba = true;
-            good = v[0] == 4 && sizes_of(v + 1, 3, n->size);
-        } else if (good) {
-            good = sizes_of(v, 3, n->size);
-        }
-    } else if (IS("endian")) {
-        n->big = strcmp(value, "big") == 0;
-        good = n->big || strcmp(value, "little") == 0;
-    } else if (IS("encoding")) {
-        n->raw = strcmp(value, "raw") == 0;
-        if (!n->raw) return svo_fail(err, SVO_UNSUPPORTED, "NRRD encoding \"%.40s\"; only raw is read (unu save -e raw makes it)", value);
-    } else if (IS("space directions")) {
-        const char *vectors = strncmp(value, "none ", 5) == 0 ? value + 5 : value;
-        good = n->has_directions = numbers(vectors, n->directions, 9) == 9;
-    } else if (IS("spacings") && !n->has_directions) {
-        int count = numbers(value, v, 4), skip = count == 4;
-        good = count == 3 || count == 4;
-        for (int k = 0; k < 3 && good; k++) n->directions[4 * k] = v[k + skip];
-        n->has_directions = good;
-    } else if (IS("space origin")) {
-        good = numbers(value, n->origin, 3) == 3;
-    } else if (IS("data file") || IS("datafile") || IS("byte skip") || IS("byteskip") || IS("line skip") || IS("lineskip")) {
-        return svo_fail(err, SVO_UNSUPPORTED, "NRRD field \"%.20s\": only files with their data in them are read", line);
-    }
-#undef IS
-    return good ? SVO_OK : svo_fail(err, SVO_INVALID_DATA, "NRRD header: \"%.80s\" is wrong, or not a volume of 3 axes (4 with red, green, blue, alpha first)", line);
-}
-
-static double sample(const nrrd *n, const uint8_t *p)
-{
-    uint64_t u = 0;
-    for (uint32_t i = 0; i < n->bytes; i++) u |= (uint64_t)p[i] << 8 * (n->big ? n->bytes - 1 - i : i);
-    if (n->is_float && n->bytes == 8) {
-        double d;
-        memcpy(&d, &u, 8);
-        return d;
-    }
-    uint32_t w = (uint32_t)u;
-    if (n->is_float) {
-        float f;
-        memcpy(&f, &w, 4);
-        return (double)f;
-    }
-    if (!n->is_signed) return (double)w;
-    return n->bytes == 1 ? (double)(int8_t)w : n->bytes == 2 ? (double)(int16_t)w : (double)(int32_t)w;
-}
-
-static svo_result read_nrrd(const uint8_t *data, uint64_t size, const double *threshold, fmt_voxels *v, svo_error *err)
-{
-    nrrd n = {.directions = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
-    char line[1024];
-    uint64_t at = 0;
-    next_line(data, size, &at, line); /* NRRD000x */
-    for (;;) {
-        if (next_line(data, size, &at, line) == NULL) return svo_fail(err, SVO_INVALID_DATA, "the NRRD header has no end, or a line that is too long");
-        if (line[0] == 0) break;
-        SVO_TRY(read_field(line, &n, err));
-    }
-    if (!n.has_type || !n.has_sizes || !n.raw) return svo_fail(err, SVO_INVALID_DATA, "the NRRD header has no type, sizes or encoding");
-    if (n.rgba && (n.bytes != 1 || n.is_signed)) return svo_fail(err, SVO_UNSUPPORTED, "NRRD with 4 axes: only red, green, blue, alpha of type uint8 are read");
-    uint64_t total = n.size[0] * n.size[1] * n.size[2], width = n.rgba ? 4 : n.bytes;
-    if (total > (size - at) / width || (size - at) != total * width)
-        return svo_fail(err, SVO_INVALID_DATA, "%llu x %llu x %llu samples of %llu bytes are not the %llu bytes that are there", (unsigned long long)n.size[0], (unsigned long long)n.size[1],
-                        (unsigned long long)n.size[2], (unsigned long long)width, (unsigned long long)(size - at));
-    v->colored = n.rgba;
-    for (uint64_t i = 0; i < total; i++) {
-        const uint8_t *p = data + at + i * width;
-        double value = n.rgba ? p[3] : sample(&n, p);
-        if (!(threshold != NULL ? value >= *threshold : value > 0)) continue;
-        SVO_TRY(import_cell(v, (uint32_t)(i % n.size[0]), (uint32_t)(i / n.size[0] % n.size[1]), (uint32_t)(i / (n.size[0] * n.size[1])), n.rgba ? p : NULL, err));
-    }
-    const double *d = n.directions; /* d[3 axis + row] */
-    for (int r = 0; r < 3; r++) {
-        for (int k = 0; k < 3; k++) v->to_world[4 * r + k] = d[3 * k + r];
-        v->to_world[4 * r + 3] = n.origin[r] - 0.5 * (d[r] + d[3 + r] + d[6 + r]); /* samples are cell centres */
-    }
-    v->to_world[15] = 1;
-    return SVO_OK;
-}
-
 /* --- what they have in common --- */
 
 static int by_code(const void *a, const void *b)
@@ -252,15 +126,14 @@ static void settle(fmt_voxels *v)
     v->cells.size = kept * sizeof *c;
 }
 
-svo_result fmt_import_voxels(const uint8_t *data, uint64_t size, const double *threshold, const svo_allocator *a, fmt_voxels *out, svo_error *err)
+svo_result fmt_import_voxels(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_voxels *out, svo_error *err)
 {
     memset(out, 0, sizeof *out);
     svo_buffer_init(&out->cells, a);
     svo_result r;
-    if (!fmt_is_voxels(data, size)) r = svo_fail(err, SVO_INVALID_DATA, "no .vox, binvox or NRRD file");
+    if (!fmt_is_voxels(data, size)) r = svo_fail(err, SVO_INVALID_DATA, "no .vox or binvox file");
     else if (data[0] == 'V') r = import_vox(data, size, a, out, err);
-    else if (data[0] == '#') r = read_binvox(data, size, out, err);
-    else r = read_nrrd(data, size, threshold, out, err);
+    else r = read_binvox(data, size, out, err);
     if (r == SVO_OK) settle(out);
     else svo_buffer_free(&out->cells);
     return r;

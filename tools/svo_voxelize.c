@@ -43,7 +43,7 @@ typedef struct tool_options {
     bool dry_run, ignore_free_space;
     double threshold;
     bool has_threshold;
-    const char *columns;
+    const char *columns, *raw;
     uint64_t min_points;
     bool has_min_points;
 } tool_options;
@@ -404,7 +404,9 @@ int main(int argc, char **argv)
         {.name = "disk", .kind = CLI_CHOICE, .value = &o.disk, .choices = disks, .argument = "FORM",
          .help = "Form of the file: fast to read and write, or small (geometry about a third of the bytes, 10 times the time)."},
         {.name = "threshold", .kind = CLI_DOUBLE, .value = &o.threshold, .argument = "X", .seen = &o.has_threshold, .no_default = true,
-         .help = "Of a NRRD volume: cells with at least this value are voxels; without it, those above 0."},
+         .help = "Of a volume: cells with at least this value are voxels; without it, those above 0."},
+        {.name = "raw", .kind = CLI_TEXT, .value = &o.raw, .argument = "SPEC", .no_default = true,
+         .help = "The input is samples without a header: WxHxD:TYPE[:big][:OFFSET], x fastest, TYPE i8 u8 i16 u16 i32 u32 i64 u64 f32 f64 rgba; --voxel-size is the edge of a cell."},
         {.name = "columns", .kind = CLI_TEXT, .value = &o.columns, .argument = "LIST", .no_default = true,
          .help = "Of points as text: what each column is, of x y z r g b nx ny nz i and -, such as x,y,z,-,r,g,b; guessed without it."},
         {.name = "min-points", .kind = CLI_U64, .value = &o.min_points, .argument = "N", .min = 1, .max = 4294967295.0, .seen = &o.has_min_points,
@@ -456,15 +458,15 @@ int main(int argc, char **argv)
     if (o.depfile != NULL && !o.key && !o.dry_run && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     svo_error err = {0};
-    if (voxelize_is_cells(c.inputs[0])) {
-        if (c.input_count != 1 || o.has_size || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
+    if (o.raw != NULL || voxelize_is_cells(c.inputs[0])) {
+        if (c.input_count != 1 || (o.has_size && o.raw == NULL) || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
             return cli_usage(&c, "a file of voxels is taken alone and as it is, without --voxel-size, --fill, --surface, --shard and --dry-run");
-        cells_options cells = {.depth = (uint32_t)o.depth, .has_depth = o.has_depth, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
+        cells_options cells = {.depth = (uint32_t)o.depth, .has_depth = o.has_depth, .raw = o.raw, .raw_size = o.has_size ? o.voxel_size : 0, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
                                .attributes = o.attributes, .depfile = o.depfile, .level = (int)o.level};
         svo_result taken = voxelize_cells(&c, &cells, &err);
         return cli_end(&c, taken, &err);
     }
-    if (o.has_threshold) return cli_usage(&c, "--threshold is for NRRD volumes");
+    if (o.has_threshold) return cli_usage(&c, "--threshold is for volumes");
     if (o.has_depth == o.has_size) return cli_usage(&c, o.has_depth ? "--depth and --voxel-size exclude each other" : "one of --depth and --voxel-size is needed");
     const int points = voxelize_are_points(&c);
     if (points < 0) return cli_usage(&c, "points and meshes are not voxelized together; svo-pack places the results in one scene");

@@ -6,6 +6,7 @@
 
 #include "fmt_import_voxels.h"
 #include "fmt_svo.h"
+#include "fmt_volume.h"
 #include "svo_math.h"
 #include "voxelize_sources.h"
 
@@ -18,49 +19,105 @@ bool voxelize_is_cells(const char *path)
         n = fread(head, 1, sizeof head, f);
         fclose(f);
     }
-    return fmt_is_voxels(head, n);
+    return fmt_is_voxels(head, n) || fmt_is_nrrd(head, n);
 }
 
-static svo_result describe(const cells_options *o, const fmt_voxels *v, svo_tree_info *info, svo_error *err)
+/* What was read: voxels one by one, or a volume. */
+typedef struct grid_file {
+    fmt_voxels v;
+    fmt_volume *volume;
+    uint64_t voxels;
+    uint32_t side;
+    bool colored, one_color;
+    uint8_t color[3];
+    const double *to_world;
+} grid_file;
+
+static svo_result read_file(cli *c, const cells_options *o, const fmt_bytes *b, const svo_allocator *a, sources *read, grid_file *g, svo_error *err)
+{
+    if (o->raw != NULL || fmt_is_nrrd(b->data, b->size)) {
+        const fmt_volume_options how = {.raw = o->raw, .raw_size = o->raw_size, .threshold = o->threshold, .threads = (uint32_t)c->threads, .mapped = b->mapped, .memory = c->memory,
+                                        .allocator = a, .file_read = sources_add, .file_read_user = read};
+        SVO_TRY(fmt_volume_open(c->inputs[0], b->data, b->size, &how, &g->volume, err));
+        const fmt_volume_facts *f = fmt_volume_about(g->volume);
+        g->voxels = f->voxels;
+        g->side = f->side;
+        g->colored = f->colored;
+        g->one_color = f->one_color;
+        memcpy(g->color, f->color, 3);
+        g->to_world = f->to_world;
+        json_t *in = cli_section(c, "input"), *size = json_array();
+        for (int k = 0; k < 3; k++) json_array_append_new(size, json_integer((json_int_t)f->size[k]));
+        json_object_set_new(in, "size", size);
+        cli_put_f64(in, "value_low", f->low);
+        cli_put_f64(in, "value_high", f->high);
+    } else {
+        SVO_TRY(fmt_import_voxels(b->data, b->size, a, &g->v, err));
+        const fmt_cell *cell = (const fmt_cell *)(const void *)g->v.cells.data;
+        g->voxels = g->v.cells.size / sizeof *cell;
+        g->side = g->v.side;
+        g->colored = g->v.colored;
+        g->one_color = true;
+        for (uint64_t i = 1; i < g->voxels && g->one_color; i++) g->one_color = memcmp(cell[i].rgb, cell[0].rgb, 3) == 0;
+        if (g->voxels != 0) memcpy(g->color, cell[0].rgb, 3);
+        g->to_world = g->v.to_world;
+    }
+    cli_put_u64(cli_section(c, "input"), "voxels", g->voxels);
+    return SVO_OK;
+}
+
+static void free_file(grid_file *g)
+{
+    if (g->volume == NULL) svo_buffer_free(&g->v.cells);
+    fmt_volume_close(g->volume);
+}
+
+static svo_result describe(const cells_options *o, const grid_file *g, svo_tree_info *info, svo_error *err)
 {
     uint32_t depth = 0;
-    while (((uint32_t)1 << depth) < v->side) depth++;
+    while (((uint32_t)1 << depth) < g->side) depth++;
     memset(info, 0, sizeof *info);
     if (o->has_depth && o->depth < depth)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "--depth %u is too small: the voxels of this file need %u (they are taken as they are, not resampled)", o->depth, depth);
     info->depth = o->has_depth ? o->depth : depth;
-    memcpy(info->voxel_to_world, v->to_world, sizeof info->voxel_to_world);
+    memcpy(info->voxel_to_world, g->to_world, sizeof info->voxel_to_world);
     svo_mat4 m, inverse;
-    memcpy(m.m, v->to_world, sizeof m.m);
+    memcpy(m.m, g->to_world, sizeof m.m);
     if (!svo_mat4_affine_inverse(&m, &inverse)) return svo_fail(err, SVO_INVALID_DATA, "the directions of the file's axes are no basis");
-    bool any = strcmp(o->attributes, "none") != 0;
-    if (any && strcmp(o->attributes, "auto") != 0 && strcmp(o->attributes, "color") != 0)
-        return svo_fail(err, SVO_UNSUPPORTED, "--attributes of voxel files: auto, none or color");
-    if (!any || !v->colored) return SVO_OK;
-    const fmt_cell *c = (const fmt_cell *)(const void *)v->cells.data;
-    uint64_t count = v->cells.size / sizeof *c;
-    svo_channel *channel = &info->channels[info->channel_count++];
-    strcpy(channel->name, "color");
-    channel->kind = SVO_KIND_COLOR_SRGB8;
-    channel->constant = true;
-    for (uint64_t i = 1; i < count && channel->constant; i++) channel->constant = memcmp(c[i].rgb, c[0].rgb, 3) == 0;
-    if (channel->constant && count != 0) memcpy(channel->value, c[0].rgb, 3);
+    const char *list = o->attributes;
+    const bool both = strcmp(list, "color,intensity") == 0 || strcmp(list, "intensity,color") == 0;
+    const bool color = both || strcmp(list, "auto") == 0 || strcmp(list, "color") == 0, intensity = both || strcmp(list, "intensity") == 0;
+    if (!color && !intensity && strcmp(list, "none") != 0)
+        return svo_fail(err, SVO_UNSUPPORTED, "--attributes of voxel files: auto, none, color, and of volumes intensity");
+    if (intensity && g->volume == NULL) return svo_fail(err, SVO_INVALID_ARGUMENT, "--attributes intensity is for volumes");
+    if (color && g->colored) {
+        svo_channel *channel = &info->channels[info->channel_count++];
+        strcpy(channel->name, "color");
+        channel->kind = SVO_KIND_COLOR_SRGB8;
+        channel->constant = g->one_color;
+        if (g->one_color) memcpy(channel->value, g->color, 3);
+    }
+    if (intensity) {
+        svo_channel *channel = &info->channels[info->channel_count++];
+        strcpy(channel->name, "intensity");
+        channel->kind = SVO_KIND_UNORM8;
+    }
     return SVO_OK;
 }
 
-static svo_result write_file(cli *c, const cells_options *o, const fmt_voxels *v, const char *provenance, const svo_allocator *a, svo_error *err)
+static svo_result write_file(cli *c, const cells_options *o, const grid_file *g, const char *provenance, const svo_allocator *a, svo_error *err)
 {
     svo_tree_info info;
     fmt_output *out = NULL;
     fmt_svo_writer *writer = NULL;
     svo_tree_counts counts = {0};
-    SVO_TRY(describe(o, v, &info, err));
+    SVO_TRY(describe(o, g, &info, err));
     SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
     svo_result r = fmt_svo_writer_begin(out, &info, provenance, o->level, a, &writer, err);
     if (r == SVO_OK && o->small) r = fmt_svo_writer_small(writer, err);
     if (r == SVO_OK) {
         svo_chunk_sink sink = fmt_svo_writer_sink(writer);
-        r = fmt_voxels_emit(v, &info, &sink, err);
+        r = g->volume != NULL ? fmt_volume_emit(g->volume, &info, &sink, err) : fmt_voxels_emit(&g->v, &info, &sink, err);
     }
     if (r == SVO_OK) {
         r = fmt_svo_writer_end(writer, &counts, err);
@@ -78,39 +135,49 @@ static svo_result write_file(cli *c, const cells_options *o, const fmt_voxels *v
     return fmt_output_commit(out, err);
 }
 
-static svo_result make(cli *c, const cells_options *o, const fmt_bytes *b, const svo_allocator *a, sources *read, svo_error *err)
+/* The options that decide the output, and the inputs, as text. NULL: out of memory. */
+static char *provenance_of(const cli *c, const cells_options *o, const sources *read)
 {
-    fmt_voxels v;
-    cli_phase(c, "import");
-    sources_add(read, c->inputs[0], b->data, b->size, b->mapped);
-    if (read->failed) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     json_t *inputs = json_array(), *how = json_object();
-    json_array_append_new(inputs, cli_provenance_input(c->inputs[0], read->list[0].hash));
+    for (size_t i = 0; i < read->count; i++) json_array_append_new(inputs, cli_provenance_input(read->list[i].path, read->list[i].hash));
     if (o->has_depth) cli_put_u64(how, "depth", o->depth);
     if (o->threshold != NULL) cli_put_f64(how, "threshold", *o->threshold);
+    if (o->raw != NULL) cli_put_text(how, "raw", o->raw);
+    if (o->raw_size > 0) cli_put_f64(how, "voxel_size", o->raw_size);
     cli_put_text(how, "attributes", o->attributes);
-    char *provenance = cli_provenance(c, how, inputs);
-    if (provenance == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-    svo_result r = SVO_OK;
-    if (o->key) {
-        uint8_t key[16];
-        char *what = malloc(strlen(provenance) + 80), hex[33];
-        r = what != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
-        if (r == SVO_OK) sprintf(what, "%s\nvoxels, format 1.0 level %d disk %d", provenance, o->level, o->small);
-        if (r == SVO_OK) r = sources_key(read, what, key, err);
-        if (r == SVO_OK) fmt_hash_text(key, hex), puts(hex);
-        free(what);
-    } else {
-        r = cli_about(c->inputs[0], fmt_import_voxels(b->data, b->size, o->threshold, a, &v, err), err);
-        if (r == SVO_OK) {
-            cli_put_u64(cli_section(c, "input"), "voxels", v.cells.size / sizeof(fmt_cell));
-            cli_phase(c, "write");
-            r = write_file(c, o, &v, provenance, a, err);
-            svo_buffer_free(&v.cells);
-        }
+    return cli_provenance(c, how, inputs);
+}
+
+static svo_result print_key(const cells_options *o, const sources *read, const char *provenance, svo_error *err)
+{
+    uint8_t key[16];
+    char *what = malloc(strlen(provenance) + 80), hex[33];
+    if (what == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    sprintf(what, "%s\nvoxels, format 1.0 level %d disk %d", provenance, o->level, o->small);
+    svo_result r = sources_key(read, what, key, err);
+    if (r == SVO_OK) fmt_hash_text(key, hex), puts(hex);
+    free(what);
+    return r;
+}
+
+static svo_result make(cli *c, const cells_options *o, const fmt_bytes *b, const svo_allocator *a, sources *read, svo_error *err)
+{
+    grid_file g = {0};
+    cli_phase(c, "import");
+    sources_add(read, c->inputs[0], b->data, b->size, b->mapped);
+    svo_result r = cli_about(c->inputs[0], read_file(c, o, b, a, read, &g, err), err);
+    if (r != SVO_OK) return r;
+    char *provenance = read->failed ? NULL : provenance_of(c, o, read);
+    if (provenance == NULL) r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
+    if (r == SVO_OK && o->key) {
+        r = print_key(o, read, provenance, err);
+    } else if (r == SVO_OK) {
+        cli_phase(c, "write");
+        r = write_file(c, o, &g, provenance, a, err);
         if (r == SVO_OK && o->depfile != NULL) r = sources_depfile(read, o->depfile, c->output, c->force, err);
     }
     cli_phase(c, NULL);
+    free_file(&g);
     free(provenance);
     return r;
 }

@@ -1,4 +1,4 @@
-/* svo-voxelize of files that hold voxels already. */
+/* svo-voxelize of files that hold voxels already, and of dense volumes. */
 #ifndef VOXELIZE_CELLS_H
 #define VOXELIZE_CELLS_H
 
@@ -8,6 +8,8 @@ typedef struct cells_options {
     uint32_t depth; /* when has_depth; otherwise the smallest that holds all */
     bool has_depth, small, key;
     const double *threshold; /* NULL: above 0 */
+    const char *raw; /* what the input is as samples without a header; NULL: by its content */
+    double raw_size; /* edge of a cell of it, 0: 1 */
     const char *attributes, *depfile;
     int level;
 } cells_options;

@@ -3,6 +3,7 @@
 
 TOOLS is the folder of the built tools. OUT/TARGET/ok-* are written; all are made here from a few triangles."""
 import base64
+import gzip
 import json
 import os
 import shutil
@@ -162,10 +163,10 @@ class Seeds:
     def __init__(self, tools, out, work):
         self.tools, self.out, self.work = tools, out, work
 
-    def put(self, target, name, data):
+    def put(self, target, name, data, verdict="ok-"):
         folder = os.path.join(self.out, target)
         os.makedirs(folder, exist_ok=True)
-        with open(os.path.join(folder, "ok-" + name), "wb") as f:
+        with open(os.path.join(folder, verdict + name), "wb") as f:
             f.write(data if isinstance(data, bytes) else data.encode())
 
     def path(self, name, data=None):
@@ -238,8 +239,22 @@ class Seeds:
         self.put("voxels", "graph.vox", b"VOX " + struct.pack("<I", 150) + chunk(b"MAIN", b"", model + graph))
         self.put("voxels", "runs.binvox", b"#binvox 1\ndim 4 4 4\ntranslate -1 0 2\nscale 2.5\ndata\n" + bytes([0, 20, 1, 30, 0, 14]))
         for kind, data in (("uint8", bytes(range(24))), ("short", bytes(range(48))), ("float", struct.pack("<24f", *range(24)))):
-            self.put("voxels", kind + ".nrrd", ("NRRD0004\n# tiny\ntype: %s\ndimension: 3\nsizes: 2 3 4\nspace directions: (1,0,0) (0,2,0) (0,0,1)\nspace origin: (0,1,2)\n"
+            self.put("volume", kind + ".nrrd", ("NRRD0004\n# tiny\ntype: %s\ndimension: 3\nsizes: 2 3 4\nspace directions: (1,0,0) (0,2,0) (0,0,1)\nspace origin: (0,1,2)\n"
                                                 "endian: little\nencoding: raw\n\n" % kind).encode() + data)
+        head = "NRRD0005\ntype: %s\ndimension: %s\nencoding: %s\n"
+        self.put("volume", "packed.nrrd", (head % ("ushort", "3\nsizes: 3 4 5\nendian: big\nbyte skip: 2", "gzip")).encode() + b"\n" + gzip.compress(bytes(range(122)), mtime=0))
+        self.put("volume", "text.nrrd", (head % ("int", "3\nsizes: 2 2 2\nspacings: 1 2 3", "ascii")).encode() + b"\n1 0 -2\n3 4,5 6 0\n")
+        self.put("volume", "colors.nrrd", (head % ("uchar", "4\nsizes: 4 2 2 2", "raw")).encode() + b"\n" + bytes(range(32)))
+        self.put("volume", "beside.nhdr", (head % ("float", "3\nsizes: 2 2 2\nline skip: 1\ndata file: x.raw", "raw")).encode(), "io-")
+        rows = [p + c for p, c in zip(POINTS, COLORS)]
+        cloud = ("ply\nformat %s 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty double z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+                 "property ushort intensity\nend_header\n")
+        for mode, e in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
+            self.put("points", mode + ".ply", (cloud % mode).encode() + b"".join(struct.pack(e + "ffdBBBH", *r, 7) for r in rows))
+        self.put("points", "ascii.ply", cloud % "ascii" + "".join(" ".join(str(v) for v in r) + " 9\n" for r in rows))
+        self.put("points", "a.xyz", "# c\n" + "".join(" ".join(str(v) for v in r) + "\n" for r in rows))
+        self.put("points", "b.pts", "4\n" + "".join("%g,%g;%g -3 %d %d %d\r\n" % r for r in rows))
+        self.put("points", "n.xyz", "x y z nx ny nz\n" + "".join("%g %g %g 0 -1 1e-3\n" % r[:3] for r in rows))
 
     def ours(self):
         mesh = self.path("t.ply", ply("binary_little_endian"))

@@ -1,14 +1,13 @@
-/* .vox, binvox and NRRD files. A few bytes may stand for many voxels (runs, models placed many times): then memory ends, which is told, and is no finding. */
+/* .vox and binvox files. A few bytes may stand for many voxels (runs, models placed many times): then memory ends, which is told, and is no finding. */
 #include "fmt_import_voxels.h"
 #include "../fuzz.h"
 #include "svo_morton.h"
 
 static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
-    static const double half = 0.5;
     fmt_voxels v;
     if (fmt_is_voxels(bytes, size) != fmt_is_voxels(bytes, size)) fuzz_fail("it is and is not a file of voxels");
-    svo_result r = fmt_import_voxels(bytes, size, size % 2 == 0 ? &half : NULL, a, &v, err);
+    svo_result r = fmt_import_voxels(bytes, size, a, &v, err);
     if (r == SVO_OUT_OF_MEMORY) return svo_fail(err, SVO_LIMIT, "more voxels than memory");
     if (r != SVO_OK) return r;
     const fmt_cell *c = (const fmt_cell *)(const void *)v.cells.data;
