@@ -14,16 +14,15 @@ static bool fits(const svoi_lossy_state *s, const svoi_item *it, uint32_t entry,
     return distance2 <= t->bound2;
 }
 
-/* Cost of items [low, high) with one entry; *valid when all are within the bound. */
-static float entry_cost(const svoi_lossy_state *s, uint32_t low, uint32_t high, uint32_t entry, bool *valid)
+/* Cost of items [low, high) with one entry; INFINITY when one is not within the bound. */
+static float entry_cost(const svoi_lossy_state *s, uint32_t low, uint32_t high, uint32_t entry)
 {
     const svoi_point *q = &s->t->table[entry];
     float sum = 0;
-    *valid = true;
     for (uint32_t i = low; i < high; i++) {
         const svoi_item *it = &s->item[i];
         float d = svoi_distance2(&it->p, it->w, q);
-        if (!fits(s, it, entry, d)) *valid = false;
+        if (!fits(s, it, entry, d)) return INFINITY;
         sum += svoi_cost(s->t, d) * it->count;
     }
     return sum;
@@ -38,59 +37,98 @@ typedef struct cluster {
     int axis;
     float spread;        /* how much there is to gain by cutting it */
     uint32_t entry;
-    float cost;
-    bool valid;          /* the entry is within the bound of all items */
+    float cost;          /* INFINITY: the entry is not within the bound of all items */
 } cluster;
+
+static bool valid(const cluster *c) { return c->cost < INFINITY; }
 
 /* Take the entry if it is better. */
 static void try_entry(svoi_lossy_state *s, cluster *c, uint32_t entry)
 {
-    bool valid;
     if (entry == c->entry) return;
-    float cost = entry_cost(s, c->low, c->high, entry, &valid);
-    if (valid > c->valid || (valid == c->valid && cost < c->cost)) c->entry = entry, c->cost = cost, c->valid = valid;
+    float cost = entry_cost(s, c->low, c->high, entry);
+    if (cost < c->cost) c->entry = entry, c->cost = cost;
 }
 
-/* Mean, axis of largest variance, and the best entry for the items of a cluster. */
+/* Middle and axis of the largest range: where to cut what no entry can hold. */
+static float aim_at_middle(cluster *c, float scale)
+{
+    float largest = -1;
+    for (int k = 0; k < 3; k++) {
+        float range = (c->most[k] - c->least[k]) * (k != 0 ? scale : 1);
+        c->middle[k] = (c->least[k] + c->most[k]) / 2;
+        if (range > largest) largest = range, c->axis = k;
+    }
+    return largest;
+}
+
+/* The box around the items. True when no entry is within the bound of all: CIE94 is at least the difference in a
+ * component, those of chroma times the square root of wh + wd. */
+static bool too_wide(const svoi_lossy_state *s, cluster *c)
+{
+    float least[4], most[4], scale = INFINITY;
+    for (int k = 0; k < 4; k++) least[k] = most[k] = s->item[c->low].p.x[k];
+    for (uint32_t i = c->low; i < c->high; i++) {
+        const svoi_item *it = &s->item[i];
+        float w = it->w.wh + it->w.wd;
+        scale = w < scale ? w : scale;
+        for (int k = 0; k < 4; k++) { /* four, so that they are taken at once */
+            least[k] = it->p.x[k] < least[k] ? it->p.x[k] : least[k];
+            most[k] = it->p.x[k] > most[k] ? it->p.x[k] : most[k];
+        }
+    }
+    for (int k = 0; k < 3; k++) c->least[k] = least[k], c->most[k] = most[k];
+    if (s->t->squares) return false; /* the bound is not in these components */
+    float range = aim_at_middle(c, sqrtf(scale));
+    c->spread = range;
+    return range * range > 4.01f * s->t->bound2;
+}
+
+/* Mean and axis of largest variance; returns the mean weight of chroma's components. */
+static float find_mean(const svoi_item *it, uint32_t n, cluster *c)
+{
+    float weight = 0, wh = 0, sum[4] = {0, 0, 0, 0}, square[4] = {0, 0, 0, 0}, largest = -1;
+    svoi_point o = it->p;
+    for (uint32_t i = 0; i < n; i++) {
+        float count = it[i].count;
+        weight += count;
+        wh += count * it[i].w.wh;
+        for (int k = 0; k < 4; k++) {
+            float x = it[i].p.x[k] - o.x[k];
+            sum[k] += count * x;
+            square[k] += count * x * x;
+        }
+    }
+    wh /= weight;
+    c->spread = 0;
+    for (int k = 0; k < 3; k++) {
+        float mean = sum[k] / weight, variance = square[k] - sum[k] * mean;
+        c->middle[k] = o.x[k] + mean;
+        if (k != 0) variance *= wh;
+        c->spread += variance;
+        if (variance > largest) largest = variance, c->axis = k;
+    }
+    return wh;
+}
+
+/* Where to cut a cluster, and the best entry for its items. */
 static void measure(svoi_lossy_state *s, cluster *c)
 {
     const svoi_item *it = s->item + c->low;
-    if (c->high - c->low == 1) {
+    uint32_t n = c->high - c->low;
+    c->cost = INFINITY;
+    c->entry = UINT32_MAX;
+    if (n == 1) {
         c->entry = s->own[it->id];
-        c->valid = s->own_fits[it->id];
-        c->cost = svoi_cost(s->t, svoi_distance2(&it->p, it->w, &s->t->table[c->entry])) * it->count;
+        if (s->own_fits[it->id]) c->cost = svoi_cost(s->t, svoi_distance2(&it->p, it->w, &s->t->table[c->entry])) * it->count;
         c->spread = 0;
         for (int k = 0; k < 3; k++) c->least[k] = c->most[k] = it->p.x[k];
         return;
     }
-    float weight = 0, sum[3] = {0, 0, 0}, square[3] = {0, 0, 0}, wh = 0, least_x[3] = {0, 0, 0}, most_x[3] = {0, 0, 0};
-    svoi_point o = it->p;
-    for (uint32_t i = 0; i < c->high - c->low; i++) {
-        float n = it[i].count;
-        weight += n;
-        wh += n * it[i].w.wh;
-        for (int k = 0; k < 3; k++) {
-            float x = it[i].p.x[k] - o.x[k];
-            sum[k] += n * x;
-            square[k] += n * x * x;
-            if (x < least_x[k]) least_x[k] = x;
-            if (x > most_x[k]) most_x[k] = x;
-        }
-    }
-    wh /= weight;
-    float largest = -1;
-    c->spread = 0;
-    for (int k = 0; k < 3; k++) {
-        c->least[k] = o.x[k] + least_x[k], c->most[k] = o.x[k] + most_x[k];
-        float mean = sum[k] / weight, variance = square[k] - sum[k] * mean;
-        if (k != 0) variance *= wh;
-        c->middle[k] = o.x[k] + mean;
-        c->spread += variance;
-        if (variance > largest) largest = variance, c->axis = k;
-    }
+    if (too_wide(s, c)) return;
+    float wh = find_mean(it, n, c), least = INFINITY;
     uint32_t nearest = 0;
-    float least = INFINITY;
-    for (uint32_t i = 0; i < c->high - c->low; i++) {
+    for (uint32_t i = 0; i < n; i++) {
         float d = 0;
         for (int k = 0; k < 3; k++) {
             float x = it[i].p.x[k] - c->middle[k];
@@ -98,18 +136,11 @@ static void measure(svoi_lossy_state *s, cluster *c)
         }
         if (d < least) least = d, nearest = i;
     }
-    c->entry = svoi_near(s->t, &s->near, c->middle);
-    c->cost = entry_cost(s, c->low, c->high, c->entry, &c->valid);
+    try_entry(s, c, svoi_near(s->t, &s->near, c->middle));
     try_entry(s, c, s->own[it[nearest].id]);
-    if (c->valid) return;
-    /* too wide for the mean: the middle is the best place that there is, and where to cut */
-    largest = -1;
-    for (int k = 0; k < 3; k++) {
-        float range = (most_x[k] - least_x[k]) * (k != 0 ? sqrtf(wh) : 1);
-        c->middle[k] = o.x[k] + (least_x[k] + most_x[k]) / 2;
-        if (range > largest) largest = range, c->axis = k;
-    }
-    if (largest < 3 * sqrtf(s->t->bound2) || s->t->squares) try_entry(s, c, svoi_near(s->t, &s->near, c->middle));
+    if (valid(c)) return;
+    aim_at_middle(c, sqrtf(wh)); /* the best place that there is */
+    try_entry(s, c, svoi_near(s->t, &s->near, c->middle));
 }
 
 /* Items on the lower side of the cut come first; false when all are on one side. */
@@ -145,7 +176,7 @@ void svoi_try_one(svoi_lossy_state *s, svoi_node *n)
             if (svoi_distance2(&s->item[0].p, s->item[0].w, &s->item[i].p) > 1.5f * limit) return;
     }
     measure(s, &c);
-    if (!c.valid) return;
+    if (!valid(&c)) return;
     bool wide = c.entry >= 4096;
     float cost = (float)(SVOI_HEADER_BITS + (wide ? whole_bytes(s->table_bits) : 0)) + c.cost;
     if (!(cost < n->cost)) return;
@@ -219,6 +250,21 @@ static void add_entry(svoi_node *n, uint32_t entry)
     if (n->entries < SVOI_LOSSY_ENTRIES) n->entry[n->entries++] = (uint16_t)entry;
 }
 
+/* Masks of up to 64 items, a bit a candidate, to masks of candidates, a bit an item: word w of `out`. */
+static void turn_bits(const uint64_t *mask, uint32_t n, uint32_t w, uint32_t candidates, uint64_t (*out)[SVO_SUPERBLOCK / 64])
+{
+    uint64_t m[64] = {0};
+    memcpy(m, mask, n * sizeof *m);
+    uint64_t low = 0xffffffffu;
+    for (uint32_t half = 32; half != 0; half /= 2, low ^= low << half)
+        for (uint32_t i = 0; i < 64; i = (i + half + 1) & ~half) { /* those without bit `half` */
+            uint64_t t = (m[i] >> half ^ m[i + half]) & low;
+            m[i] ^= t << half;
+            m[i + half] ^= t;
+        }
+    for (uint32_t q = 0; q < candidates; q++) out[q][w] = m[q];
+}
+
 /* Fewer entries than clusters: from theirs and those between two of them, always the one that covers most of what is left. */
 static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_node *n)
 {
@@ -239,19 +285,23 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
         }
     svoi_palette_candidates(s, &all, &candidates);
     svoi_allowed(s, &candidates, s->allowed);
+    uint64_t covers[SVOI_LOSSY_ENTRIES][SVO_SUPERBLOCK / 64];
+    uint32_t words = (s->items + 63) / 64;
+    for (uint32_t w = 0; w < words; w++) turn_bits(s->allowed + 64 * w, s->items - 64 * w < 64 ? s->items - 64 * w : 64, w, all.entries, covers);
     for (uint32_t left = s->items; left != 0;) {
-        float covers[SVOI_LOSSY_ENTRIES] = {0};
-        uint32_t best = 0;
-        for (uint32_t i = 0; i < left; i++)
-            for (uint64_t m = s->allowed[i]; m != 0; m &= m - 1) covers[__builtin_ctzll(m)] += 1;
-        for (uint32_t q = 1; q < all.entries; q++)
-            if (covers[q] > covers[best]) best = q;
-        if (!(covers[best] > 0) || with.entries + 1 >= k) return;
+        uint32_t best = 0, most = 0;
+        for (uint32_t q = 0; q < all.entries; q++) {
+            uint32_t n2 = 0;
+            for (uint32_t w = 0; w < words; w++) n2 += (uint32_t)__builtin_popcountll(covers[q][w]);
+            if (n2 > most) most = n2, best = q;
+        }
+        if (most == 0 || with.entries + 1 >= k) return;
         with.entry[with.entries++] = all.entry[best];
-        uint32_t kept = 0;
-        for (uint32_t i = 0; i < left; i++)
-            if (!(s->allowed[i] >> best & 1)) s->allowed[kept++] = s->allowed[i];
-        left = kept;
+        left -= most;
+        uint64_t held[SVO_SUPERBLOCK / 64];
+        memcpy(held, covers[best], sizeof held);
+        for (uint32_t q = 0; q < all.entries; q++)
+            for (uint32_t w = 0; w < words; w++) covers[q][w] &= ~held[w];
     }
     svoi_palette_candidates(s, &with, &candidates);
     uint32_t entries = with.entries, width = width_of(entries);
@@ -274,6 +324,13 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
     }
 }
 
+static float total_cost(const cluster *c, uint32_t k)
+{
+    float sum = 0;
+    for (uint32_t i = 0; i < k; i++) sum += c[i].cost;
+    return sum;
+}
+
 /* Bits that palettes of `k` entries and more take at least. */
 static uint32_t least_bits(const svoi_lossy_state *s, uint32_t k)
 {
@@ -290,22 +347,21 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
     c[0] = (cluster){.low = 0, .high = s->items};
     measure(s, &c[0]);
     for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = 0;
-    float error = c[0].cost;
-    uint32_t k = 1, invalid = !c[0].valid;
+    uint32_t k = 1, invalid = !valid(&c[0]);
     uint8_t saved[SVO_SUPERBLOCK];
     bool covered = false;
     while (k < SVOI_LOSSY_ENTRIES) {
         uint32_t pick = k;
         for (uint32_t i = 0; i < k; i++)
             if (c[i].high - c[i].low > 1 &&
-                (pick == k || c[i].valid < c[pick].valid || (c[i].valid == c[pick].valid && c[i].spread > c[pick].spread)))
+                (pick == k || valid(&c[i]) < valid(&c[pick]) || (valid(&c[i]) == valid(&c[pick]) && c[i].spread > c[pick].spread)))
                 pick = i;
-        if (pick == k || (invalid != 0 && c[pick].valid)) return; /* an entry alone is not within the bound */
-        if (invalid == 0 && !(error > 0)) return;
-        cluster old = c[pick];
+        if (pick == k || (invalid != 0 && valid(&c[pick]))) return; /* an entry alone is not within the bound */
+        if (invalid == 0 && !(total_cost(c, k) > 0)) return;
+        bool was_valid = valid(&c[pick]);
         if (!cut(s, &c[pick], &c[k])) {
             c[pick].spread = 0;
-            if (!c[pick].valid) return;
+            if (!was_valid) return;
             bool more = false;
             for (uint32_t i = 0; i < k; i++) more = more || c[i].spread > 0;
             if (!more) return;
@@ -314,8 +370,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
         measure(s, &c[pick]);
         measure(s, &c[k]);
         for (uint32_t i = c[k].low; i < c[k].high; i++) s->label[s->item[i].id] = (uint8_t)k;
-        error += c[pick].cost + c[k].cost - old.cost;
-        invalid = invalid - !old.valid + !c[pick].valid + !c[k].valid;
+        invalid = invalid - !was_valid + !valid(&c[pick]) + !valid(&c[k]);
         k++;
         /* before the first cover, which may do with far fewer entries, only what none could mend ends it */
         if ((float)least_bits(s, covered ? k : (k + 1) / 2) >= n->cost) return;
@@ -327,7 +382,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
         }
         covered = true;
         uint32_t width = width_of(k);
-        float cost = (float)(SVOI_HEADER_BITS + whole_bytes(k * s->table_bits + s->length * width)) + error;
+        float error = total_cost(c, k), cost = (float)(SVOI_HEADER_BITS + whole_bytes(k * s->table_bits + s->length * width)) + error;
         if (cost < n->cost) {
             take(n, cost, SVO_BLOCK_PALETTE + width - 1);
             keep_entries(n, c, k);

@@ -1,6 +1,9 @@
 /* Blocks within a bound: each dyadic range gets the cheapest of several kinds, cost being bits plus the worth of the
  * error; then the cheapest partition bottom-up. A range is not looked at when no kind could beat its halves. */
 #include <math.h>
+#ifdef __SSE__
+#include <xmmintrin.h>
+#endif
 
 #include "svo_quantize.h"
 #include "svoi_lossy.h"
@@ -122,17 +125,21 @@ static void item_squares(const svoi_lossy_state *s, const svoi_item *it, const s
 }
 
 /* Bit q: number q of `count` is at most `most`. */
+#ifdef __SSE__
 static uint64_t at_most(const float *x, uint32_t count, float most)
 {
-    static const uint32_t bit[SVOI_LANES] = {1, 2, 4, 8, 16, 32, 64, 128};
     uint64_t mask = 0;
-    for (uint32_t i = 0; i < count; i += SVOI_LANES) {
-        uint32_t m = 0;
-        for (uint32_t j = 0; j < SVOI_LANES; j++) m += x[i + j] <= most ? bit[j] : 0;
-        mask |= (uint64_t)m << i;
-    }
+    for (uint32_t i = 0; i < count; i += 4) mask |= (uint64_t)(uint32_t)_mm_movemask_ps(_mm_cmple_ps(_mm_loadu_ps(x + i), _mm_set1_ps(most))) << i;
     return mask;
 }
+#else
+static uint64_t at_most(const float *x, uint32_t count, float most)
+{
+    uint64_t mask = 0;
+    for (uint32_t i = 0; i < count; i++) mask |= (uint64_t)(x[i] <= most) << i;
+    return mask;
+}
+#endif
 
 /* The least of the lanes, which are used up. */
 static float fold(float lane[SVOI_LANES])
@@ -190,28 +197,74 @@ static void trace_runs(const svoi_lossy_state *s, uint32_t last, uint32_t *numbe
     }
 }
 
+/* Rows of `error`: squared errors of each item with each candidate; masks of those within the bound in `allowed`. */
+static void item_rows(svoi_lossy_state *s, const svoi_candidates *c, uint32_t k)
+{
+    for (uint32_t i = 0; i < s->items; i++) {
+        s->row[s->item[i].id] = (uint16_t)i;
+        item_squares(s, &s->item[i], c, k, s->error[i]);
+        s->allowed[i] = at_most(s->error[i], k, 1e30f);
+    }
+}
+
+/* From squared errors to costs; the least of each row in `least`. */
+static void item_costs(svoi_lossy_state *s, uint32_t k, float *least)
+{
+    float price = s->t->price;
+    for (uint32_t i = 0; i < s->items; i++) {
+        float *error = s->error[i], lane[SVOI_LANES];
+        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = INFINITY;
+        for (uint32_t q = 0; q < k; q += SVOI_LANES)
+            for (uint32_t j = 0; j < SVOI_LANES; j++) { /* where the square is not finite, nor is the root */
+                float e = s->t->squares ? error[q + j] : __builtin_sqrtf(error[q + j]);
+                e = error[q + j] < INFINITY ? price * e : INFINITY;
+                error[q + j] = e;
+                lane[j] = e < lane[j] ? e : lane[j];
+            }
+        least[i] = fold(lane);
+    }
+}
+
+/* tail[r]: what runs r and later add at least to the cost up to the run before: their least errors, and `width` bits
+ * for each change that they cannot do without. Greedy from the end, a run of numbers as long as one candidate allows. */
+static void fill_tails(svoi_lossy_state *s, const float *least, uint32_t width)
+{
+    uint64_t together = 0;
+    float changes = 0, errors = 0;
+    s->tail[s->runs] = 0;
+    for (uint32_t r = s->runs; r-- > 0;) {
+        uint32_t row = s->row[s->run_id[r]];
+        if ((together & s->allowed[row]) == 0) {
+            if (together != 0) changes += (float)width; /* the run behind begins with a change, whatever is before it */
+            together = ~(uint64_t)0;
+        }
+        together &= s->allowed[row];
+        if (least != NULL) errors += least[row] * s->run_length[r];
+        s->tail[r] = (changes + errors) * 0.9999f; /* sums differ by their order */
+    }
+}
+
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, float limit, uint32_t *number)
 {
     uint32_t k = padded(c->count);
-    for (uint32_t i = 0; i < s->items; i++) {
-        s->row[s->item[i].id] = (uint16_t)i;
-        float *error = s->error[i];
-        item_squares(s, &s->item[i], c, k, error);
-        if (s->t->squares)
-            for (uint32_t q = 0; q < k; q++) error[q] = error[q] < INFINITY ? s->t->price * error[q] : INFINITY;
-        else
-            for (uint32_t q = 0; q < k; q++) error[q] = error[q] < INFINITY ? s->t->price * __builtin_sqrtf(error[q]) : INFINITY;
+    float cost[SVOI_LOSSY_ENTRIES], least = 0, item_least[SVO_SUPERBLOCK];
+    item_rows(s, c, k);
+    if (limit < INFINITY) {
+        fill_tails(s, NULL, width);
+        if (!(s->tail[0] + (float)width < limit)) return INFINITY;
     }
-    float cost[SVOI_LOSSY_ENTRIES], least = 0;
+    item_costs(s, k, item_least);
+    if (limit < INFINITY) {
+        fill_tails(s, item_least, width);
+        if (!(s->tail[0] + (float)width < limit)) return INFINITY;
+    }
     uint32_t from = 0;
     for (uint32_t q = 0; q < k; q++) cost[q] = INFINITY;
     for (uint32_t r = 0; r < s->runs; r++) {
         const float *error = s->error[s->row[s->run_id[r]]];
         float times = s->run_length[r], change = least + (float)width, lane[SVOI_LANES];
         if (number != NULL) {
-            uint64_t changed = 0;
-            for (uint32_t q = 0; q < k; q++) changed |= (uint64_t)(change < cost[q]) << q;
-            s->changed[r] = changed;
+            s->changed[r] = ~at_most(cost, k, change);
             s->before[r] = (uint8_t)from;
         }
         for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = INFINITY;
@@ -222,7 +275,7 @@ float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t wid
                 lane[j] = now < lane[j] ? now : lane[j];
             }
         least = fold(lane);
-        if (!(least < limit)) return INFINITY;
+        if (!(least + (limit < INFINITY ? s->tail[r + 1] : 0) < limit)) return INFINITY;
         if (number != NULL) {
             from = 0;
             while (cost[from] != least) from++;
@@ -234,8 +287,10 @@ float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t wid
 
 /* --- the partition ----------------------------------------------------------------------------------------------- */
 
+static bool is_lattice(const svoi_node *n) { return n->mode == SVO_BLOCK_BOX || n->mode == SVO_BLOCK_BOX_RUNS; }
+
 /* Fill `n`, whose cost is what has to be beaten; false when nothing does. */
-static bool look(svoi_lossy_state *s, uint32_t begin, uint32_t length, svoi_node *n, float limit)
+static bool look(svoi_lossy_state *s, uint32_t begin, uint32_t length, svoi_node *n, float limit, bool lattice)
 {
     n->cost = limit;
     n->mode = SVOI_NONE;
@@ -246,7 +301,7 @@ static bool look(svoi_lossy_state *s, uint32_t begin, uint32_t length, svoi_node
         svoi_try_palettes(s, n);
         svoi_try_lines(s, n);
     }
-    svoi_try_lattice(s, n);
+    if (lattice) svoi_try_lattice(s, n);
     svoi_try_raw(s, n);
     return n->mode != SVOI_NONE;
 }
@@ -257,11 +312,13 @@ static uint64_t lossy_choose(void *state, const uint32_t *v)
     know_values(s, v);
     float cost[SVOI_GRANULES];
     uint32_t blocks[SVOI_GRANULES];
+    bool lattice[SVOI_GRANULES]; /* worth trying: some part is one already */
     uint64_t map = ~(uint64_t)0;
     for (uint32_t i = 0; i < SVOI_GRANULES; i++) {
-        look(s, i * SVO_GRANULE, SVO_GRANULE, &s->node[0][i], INFINITY);
+        look(s, i * SVO_GRANULE, SVO_GRANULE, &s->node[0][i], INFINITY, true);
         cost[i] = s->node[0][i].cost;
         blocks[i] = 1;
+        lattice[i] = is_lattice(&s->node[0][i]);
     }
     for (uint32_t k = 1; k < SVOI_LEVELS; k++)
         for (uint32_t i = 0; i < (uint32_t)SVOI_GRANULES >> k; i++) {
@@ -269,8 +326,10 @@ static uint64_t lossy_choose(void *state, const uint32_t *v)
             svoi_node *n = &s->node[k][i];
             cost[i] = cost[2 * i] + cost[2 * i + 1];
             blocks[i] = blocks[2 * i] + blocks[2 * i + 1];
+            lattice[i] = lattice[2 * i] || lattice[2 * i + 1];
             n->mode = SVOI_NONE;
-            if (blocks[i] > 6 || !look(s, begin * SVO_GRANULE, granules * SVO_GRANULE, n, cost[i])) continue;
+            if (blocks[i] > 6 || !look(s, begin * SVO_GRANULE, granules * SVO_GRANULE, n, cost[i], lattice[i])) continue;
+            lattice[i] = is_lattice(n);
             cost[i] = n->cost;
             blocks[i] = 1;
             map &= ~((((uint64_t)1 << (granules - 1)) - 1) << (begin + 1));
@@ -284,7 +343,7 @@ static void lossy_block(void *state, uint32_t first, uint32_t end, svoi_block *o
     uint32_t level = (uint32_t)__builtin_ctz(end - first), width;
     svoi_node *n = &s->node[level][first >> level];
     gather(s, first * SVO_GRANULE, (end - first) * SVO_GRANULE);
-    if (n->mode == SVOI_NONE) look(s, first * SVO_GRANULE, (end - first) * SVO_GRANULE, n, INFINITY);
+    if (n->mode == SVOI_NONE) look(s, first * SVO_GRANULE, (end - first) * SVO_GRANULE, n, INFINITY, true);
     svoi_candidates c;
     out->mode = n->mode;
     out->entries = n->entries;

@@ -45,6 +45,7 @@ typedef struct svoi_lossy_state {
     uint32_t mark[SVO_SUPERBLOCK], marks; /* by id: in this block when equal to marks */
     float error[SVO_SUPERBLOCK][SVOI_LOSSY_ENTRIES];
     uint64_t allowed[SVO_SUPERBLOCK]; /* of each item */
+    float tail[SVO_SUPERBLOCK + 1];   /* of each run and those behind it: what they add at least to a cost by runs */
     uint64_t changed[SVO_SUPERBLOCK]; /* of each run: bit q set when number q begins there */
     uint8_t before[SVO_SUPERBLOCK];   /* of each run: the number that a change comes from */
     uint32_t stamp;
