@@ -5,6 +5,7 @@
 #include <strings.h>
 
 #include "fmt_container.h"
+#include "fmt_rig.h"
 #include "import_common.h"
 #include "import_text.h"
 
@@ -100,9 +101,12 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->block_bytes = o->block_bytes;
     c->file_read = o->file_read;
     c->file_read_user = o->file_read_user;
-    c->spill = o->memory != 0 ? o->spill : NULL;
+    c->spill = o->memory != 0 && o->rig == NULL ? o->spill : NULL;
     c->memory = o->memory;
     c->pager = o->pager;
+    c->rig = o->rig;
+    c->animation = o->animation;
+    c->time = o->time;
     const char *slash = strrchr(path, '/');
     size_t n = slash != NULL ? (size_t)(slash - path) + 1 : 0;
     if (n >= sizeof c->folder) return svo_fail(err, SVO_INVALID_ARGUMENT, "%.100s...: the path is too long", path);
@@ -163,6 +167,7 @@ svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, 
         *out = mesh;
     } else {
         svo_mesh_free(&mesh);
+        fmt_rig_free(c->rig);
     }
     svo_free(NULL, c, 1, sizeof *c);
     return r;

@@ -26,6 +26,11 @@ typedef struct fmt_import_options {
      * (svo_soup.h). Works for OBJ, PLY, STL and OFF; other formats are read into memory. NULL: never. */
     const svo_spill *spill;
     uint64_t memory;
+    /* Where the nodes, skins and animations of a glTF file go; zeroed before, freed by the caller. Meshes with a skin then keep the
+     * coordinates of the file and stand at fmt_rig_place; without it they are skinned as the nodes stand. */
+    struct fmt_rig *rig;
+    const char *animation; /* with rig: nodes stand as this animation (fmt_rig_find) has them at `time`; NULL: as in the file */
+    double time;
     svo_pager *pager; /* where textures go that do not fit in memory; it must outlive the mesh. NULL: they stay in memory */
 } fmt_import_options;
 

@@ -183,12 +183,23 @@ static svo_result bones(fmti_pose_fault *f, const json_t *list, svo_buffer *matr
     return SVO_OK;
 }
 
-svo_result fmti_pose_parse(const json_t *o, svo_buffer *matrices, svo_pose *out, const char **name, fmti_pose_fault *fault)
+static svo_result animation(fmti_pose_fault *f, const json_t *v, fmti_pose_clip *clip)
+{
+    const char *name = json_string_value(v);
+    clip->given = true;
+    if (json_is_integer(v) && json_integer_value(v) >= 0 && json_integer_value(v) < 1000000000) snprintf(clip->animation, sizeof clip->animation, "%d", (int)json_integer_value(v));
+    else if (name != NULL && name[0] != 0 && strlen(name) < sizeof clip->animation) memcpy(clip->animation, name, strlen(name) + 1);
+    else return wrong(f, "", "animation", "the name of an animation (up to 127 bytes) or its number is expected");
+    return SVO_OK;
+}
+
+svo_result fmti_pose_parse(const json_t *o, svo_buffer *matrices, svo_pose *out, fmti_pose_clip *clip, const char **name, fmti_pose_fault *fault)
 {
     svo_pose p = svo_pose_stated();
     svo_mat4 scales = svo_mat4_identity(), shears = scales, matrix = scales;
     double pivot[3], factor[3];
     const char *key;
+    *clip = (fmti_pose_clip){0};
     json_t *v;
     if (!json_is_object(o)) return wrong(fault, "", "", "an object is expected");
     json_object_foreach((json_t *)o, key, v)
@@ -210,8 +221,14 @@ svo_result fmti_pose_parse(const json_t *o, svo_buffer *matrices, svo_pose *out,
             SVO_TRY(numbers(fault, "", key, v, 3, pivot));
             for (int k = 0; k < 3; k++) p.pivot[k] = (float)pivot[k];
         } else if (strcmp(key, "bones") == 0) SVO_TRY(bones(fault, v, matrices, &p));
+        else if (strcmp(key, "animation") == 0) SVO_TRY(animation(fault, v, clip));
+        else if (strcmp(key, "time") == 0) {
+            SVO_TRY(numbers(fault, "", key, v, 1, &clip->time));
+            clip->given = true;
+        }
         else return wrong(fault, "", key, "unknown key");
     }
+    if (clip->given && (p.flags & SVO_POSE_BONES) != 0) return wrong(fault, "", "animation", "animation and time exclude bones");
     if ((p.flags & SVO_POSE_MATRIX) != 0) {
         float stored[12];
         svo_mat4 m = svo_mat4_mul(matrix, svo_mat4_mul(shears, scales));

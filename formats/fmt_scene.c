@@ -49,26 +49,13 @@ static svo_result check_names(const svo_scene *s, svo_result code, svo_error *er
     return SVO_OK;
 }
 
-/* Boxes of the assets' voxels, in grid coordinates: 6 doubles each, low then high. */
-static svo_result find_boxes(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, double *boxes, svo_error *err)
-{
-    for (uint32_t i = 0; i < s->asset_count; i++) {
-        bool any;
-        uint32_t low[3], high[3];
-        SVO_TRY(svo_view_grid_bounds(s->assets[i], a, &any, low, high, err));
-        if (!any && !partial) return bad(err, code, ASET, i, "SCN-08", "the asset is empty");
-        for (int k = 0; k < 3; k++) boxes[6 * i + (uint32_t)k] = any ? low[k] : 0, boxes[6 * i + 3 + (uint32_t)k] = any ? (double)high[k] + 1 : 0;
-    }
-    return SVO_OK;
-}
-
 typedef struct page_check {
     const svo_scene *scene;
-    const double *boxes;
+    const svo_extent *extents;
     svo_result code;
 } page_check;
 
-static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes, svo_result code, svo_error *err)
+static svo_result check_page(const svo_scene *s, uint32_t p, const svo_extent *extents, svo_result code, svo_error *err)
 {
     const svo_scene_page *page = &s->pages[p];
     for (int k = 0; k < 3; k++)
@@ -85,7 +72,7 @@ static svo_result check_page(const svo_scene *s, uint32_t p, const double *boxes
         if (!finite || !svo_mat4_affine_inverse(&m, &inverse))
             return bad(err, code, IXFM, i, "SCN-07", "the transform is not finite or not invertible");
         double low[3], high[3];
-        bool posed = svo_scene_instance_pose(s, i) != NULL, good = svo_scene_instance_bounds(s, p, i, boxes + 6 * asset, boxes + 6 * asset + 3, low, high);
+        bool posed = svo_scene_instance_pose(s, i) != NULL, good = svo_scene_instance_bounds(s, p, i, &extents[asset], low, high);
         for (int k = 0; k < 3; k++) {
             /* sines and cosines differ in their last bits between machines */
             double slack = posed ? 1e-9 * fmax(fabs(low[k]), fabs(high[k])) : 0;
@@ -100,11 +87,11 @@ static svo_result check_page_range(void *user, uint64_t begin, uint64_t end, uin
 {
     (void)worker;
     const page_check *c = user;
-    for (uint64_t p = begin; p < end; p++) SVO_TRY(check_page(c->scene, (uint32_t)p, c->boxes, c->code, err));
+    for (uint64_t p = begin; p < end; p++) SVO_TRY(check_page(c->scene, (uint32_t)p, c->extents, c->code, err));
     return SVO_OK;
 }
 
-static svo_result check_pages(const svo_scene *s, const double *boxes, bool *used, bool partial, svo_result code, svo_error *err)
+static svo_result check_pages(const svo_scene *s, const svo_extent *extents, bool *used, bool partial, svo_result code, svo_error *err)
 {
     uint64_t next = 0;
     for (uint32_t p = 0; p < s->page_count; p++) {
@@ -113,7 +100,7 @@ static svo_result check_pages(const svo_scene *s, const double *boxes, bool *use
         next += s->pages[p].count;
     }
     if (next != s->instance_count) return bad(err, code, PAGE, s->page_count, "SCN-04", "the pages do not hold all instances");
-    page_check check = {s, boxes, code};
+    page_check check = {s, extents, code};
     SVO_TRY(svo_parallel_for(0, s->page_count, 4, check_page_range, &check, err));
     for (uint64_t i = 0; i < s->instance_count; i++) used[s->instance_asset[i]] = true;
     for (uint32_t a = 0; a < s->asset_count && !partial; a++)
@@ -153,12 +140,16 @@ svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, c
     SVO_TRY(check_camera(s, code, err));
     if (s->asset_count == 0 && s->instance_count != 0) return bad(err, code, HEAD, 0, "SCN-06", "instances without assets");
     if (s->asset_count == 0) return s->page_count == 0 ? SVO_OK : bad(err, code, PAGE, 0, "SCN-04", "a page without instances");
-    double *boxes = svo_alloc(a, s->asset_count, 6 * sizeof *boxes);
-    bool *used = svo_calloc(a, s->asset_count, sizeof *used);
-    svo_result result = boxes == NULL || used == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %u assets", s->asset_count) : SVO_OK;
-    if (result == SVO_OK) result = find_boxes(s, partial, code, a, boxes, err);
-    if (result == SVO_OK) result = check_pages(s, boxes, used, partial, code, err);
-    svo_free(a, boxes, s->asset_count, 6 * sizeof *boxes);
+    svo_extent *extents = svo_calloc(a, s->asset_count, sizeof *extents);
+    bool *used = svo_calloc(a, s->asset_count, sizeof *used), made = false;
+    svo_result result = extents == NULL || used == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %u assets", s->asset_count) : SVO_OK;
+    for (uint32_t i = 0; i < s->asset_count && !partial && result == SVO_OK; i++)
+        if (s->assets[i]->empty) result = bad(err, code, ASET, i, "SCN-08", "the asset is empty");
+    if (result == SVO_OK) result = svo_scene_extents(s, a, extents, err);
+    made = result == SVO_OK;
+    if (result == SVO_OK) result = check_pages(s, extents, used, partial, code, err);
+    for (uint32_t i = 0; made && i < s->asset_count; i++) svo_extent_free(&extents[i]);
+    svo_free(a, extents, s->asset_count, sizeof *extents);
     svo_free(a, used, s->asset_count, sizeof *used);
     return result;
 }

@@ -20,6 +20,10 @@ typedef struct fmt_scene_build_options {
     svo_voxelize_options voxelize; /* surface, fill, channels, threads, memory, allocator, warnings; not depth, voxel_size */
     svo_dag_options dag;
     uint32_t page_instances; /* 0 = default */
+    /* glTF scenes: nodes stand, and skins are posed, as this animation (its name or number) has them at `time` seconds; NULL: as they stand in the file. */
+    const char *animation;
+    double time;
+    bool bake_skins; /* skinned meshes as they stand, without bones and poses */
     void (*phase)(void *user, const char *name); /* called when a phase begins: read, voxelize, pack; may be NULL */
     void *user;
 } fmt_scene_build_options;
@@ -32,6 +36,8 @@ typedef struct fmt_scene_build_asset {
     char hash[33];           /* of what was read: the content hash of our files, else of the mesh file's bytes; "" when not opened */
     uint32_t depth;
     uint64_t voxels;
+    uint32_t bones, bones_kept; /* of a mesh that poses move by its bones */
+    uint64_t bones_left_out;    /* matrices: of all its poses, of bones that move nothing or that nothing follows */
     svo_pack_asset packed;
 } fmt_scene_build_asset;
 

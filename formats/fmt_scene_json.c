@@ -29,7 +29,7 @@ typedef struct parser {
     uint32_t *slot;      /* open addressing: asset number + 1 */
     uint32_t slots;      /* power of two, more than twice the assets */
     bool seen_assets, seen_instances, seen_poses;
-    svo_buffer poses, matrices;
+    svo_buffer poses, matrices, clips;
     svo_buffer pose_names;   /* uint32_t each: offset into `names` of the name of shared pose i */
     fmt_scene_json *out;
     char where[96]; /* path of the element in work, e.g. instances[3] */
@@ -264,10 +264,10 @@ static svo_result read_asset(parser *p, const json_t *o)
 
 /* ---- poses ---- */
 
-static svo_result read_pose(parser *p, const char *key, const json_t *o, const char **name, svo_pose *pose)
+static svo_result read_pose(parser *p, const char *key, const json_t *o, const char **name, svo_pose *pose, fmti_pose_clip *clip)
 {
     fmti_pose_fault fault = {{0}, NULL};
-    svo_result result = fmti_pose_parse(o, &p->matrices, pose, name, &fault);
+    svo_result result = fmti_pose_parse(o, &p->matrices, pose, clip, name, &fault);
     if (result == SVO_OUT_OF_MEMORY) return no_memory(p);
     if (p->matrices.size / 64 > p->size + (1u << 20)) return svo_fail(p->err, SVO_LIMIT, "the bones of all poses take too much memory: give their numbers without large gaps");
     if (result == SVO_OK) return SVO_OK;
@@ -276,12 +276,20 @@ static svo_result read_pose(parser *p, const char *key, const json_t *o, const c
     return wrong(p, path, fault.what);
 }
 
-static svo_result add_pose(parser *p, const svo_pose *pose, uint32_t *number)
+static svo_result add_pose(parser *p, const svo_pose *pose, const fmti_pose_clip *clip, uint32_t *number)
 {
     uint64_t n = p->poses.size / sizeof *pose;
     if (n >= UINT32_MAX - 1) return svo_fail(p->err, SVO_LIMIT, "more than 2^32 - 2 poses");
     *number = (uint32_t)n;
-    return svo_buffer_append(&p->poses, pose, sizeof *pose) != NULL ? SVO_OK : no_memory(p);
+    if (svo_buffer_append(&p->poses, pose, sizeof *pose) == NULL) return no_memory(p);
+    if (!clip->given) return SVO_OK;
+    fmt_scene_json_clip stored = {*number, 0, clip->time};
+    if (clip->animation[0] != 0) {
+        stored.animation = (uint32_t)p->names.size;
+        if (p->names.size + sizeof clip->animation > UINT32_MAX) return svo_fail(p->err, SVO_LIMIT, "the names take more than 4 GiB");
+        if (svo_buffer_append(&p->names, clip->animation, strlen(clip->animation) + 1) == NULL) return no_memory(p);
+    }
+    return svo_buffer_append(&p->clips, &stored, sizeof stored) != NULL ? SVO_OK : no_memory(p);
 }
 
 /* An element of "poses": a pose with a name, for instances to share. */
@@ -289,12 +297,14 @@ static svo_result read_shared_pose(parser *p, const json_t *o)
 {
     const char *name = NULL;
     svo_pose pose;
-    uint32_t number, offset = (uint32_t)p->names.size;
-    SVO_TRY(read_pose(p, "", o, &name, &pose));
+    fmti_pose_clip clip;
+    uint32_t number, offset;
+    SVO_TRY(read_pose(p, "", o, &name, &pose, &clip));
     if (name == NULL || name[0] == 0) return wrong(p, "name", "missing or empty");
     if (p->seen_instances) return wrong(p, "name", "poses come before the instances that share them");
     if (p->names.size + strlen(name) + 1 > UINT32_MAX) return svo_fail(p->err, SVO_LIMIT, "the names take more than 4 GiB");
-    SVO_TRY(add_pose(p, &pose, &number));
+    SVO_TRY(add_pose(p, &pose, &clip, &number));
+    offset = (uint32_t)p->names.size;
     bool stored = svo_buffer_append(&p->names, name, strlen(name) + 1) != NULL && svo_buffer_append(&p->pose_names, &offset, sizeof offset) != NULL;
     return stored ? SVO_OK : no_memory(p);
 }
@@ -307,8 +317,9 @@ static svo_result instance_pose(parser *p, const json_t *value, uint32_t *out)
     const char *name = json_string_value(value);
     if (name == NULL) {
         svo_pose pose;
-        SVO_TRY(read_pose(p, "pose", value, NULL, &pose));
-        SVO_TRY(add_pose(p, &pose, &number));
+        fmti_pose_clip clip;
+        SVO_TRY(read_pose(p, "pose", value, NULL, &pose, &clip));
+        SVO_TRY(add_pose(p, &pose, &clip, &number));
     } else {
         const uint32_t *offset = (const uint32_t *)(const void *)p->pose_names.data;
         uint32_t count = (uint32_t)(p->pose_names.size / sizeof *offset);
@@ -503,11 +514,12 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     svo_buffer_init(&p.poses, a);
     svo_buffer_init(&p.matrices, a);
     svo_buffer_init(&p.pose_names, a);
+    svo_buffer_init(&p.clips, a);
     svo_result result = read_all(&p);
     if (fmt_json_failures() != failures) result = no_memory(&p); /* whatever it said */
     svo_free(a, p.slot, p.slots, sizeof *p.slot);
     svo_free(a, p.first_use, p.slots / 2, sizeof *p.first_use);
-    scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names, scene.storage[3] = p.poses, scene.storage[4] = p.matrices;
+    scene.storage[0] = p.assets, scene.storage[1] = p.places, scene.storage[2] = p.names, scene.storage[3] = p.poses, scene.storage[4] = p.matrices, scene.storage[5] = p.clips;
     svo_buffer_free(&p.pose_names);
     scene.asset_count = asset_count(&p);
     scene.assets = (fmt_scene_json_asset *)(void *)p.assets.data;
@@ -521,6 +533,8 @@ svo_result fmt_scene_json_parse(const uint8_t *bytes, uint64_t size, const svo_a
     scene.names_size = p.names.size;
     scene.poses = (svo_poses){.count = (uint32_t)(p.poses.size / sizeof(svo_pose)), .pose = (const svo_pose *)(const void *)p.poses.data,
                               .matrix_count = p.matrices.size / (12 * sizeof(float)), .matrix = (const float *)(const void *)p.matrices.data};
+    scene.clips = (const fmt_scene_json_clip *)(const void *)p.clips.data;
+    scene.clip_count = p.clips.size / sizeof(fmt_scene_json_clip);
     *out = scene;
     return SVO_OK;
 }
@@ -532,7 +546,7 @@ void fmt_scene_json_free(fmt_scene_json *s)
         svo_string_free(s->allocator, s->assets[i].name);
         svo_string_free(s->allocator, s->assets[i].file);
     }
-    for (int i = 0; i < 5; i++)
+    for (int i = 0; i < 6; i++)
         if (s->storage[i].data != NULL) svo_buffer_free(&s->storage[i]);
     memset(s, 0, sizeof *s);
 }

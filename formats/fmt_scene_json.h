@@ -16,19 +16,28 @@ typedef struct fmt_scene_json_asset {
     char *file; /* relative path without "..", not absolute */
 } fmt_scene_json_asset;
 
+/* A pose that is that of an animation at a time. */
+typedef struct fmt_scene_json_clip {
+    uint32_t pose;      /* its number; ascending */
+    uint32_t animation; /* name or number: an offset into names; 0: the first one */
+    double time;        /* seconds */
+} fmt_scene_json_clip;
+
 typedef struct fmt_scene_json {
     const svo_allocator *allocator;
     uint32_t asset_count;
     fmt_scene_json_asset *assets;
     uint64_t place_count;
     const svo_place *places;
-    const char *names; /* the instances' names; offset 0 is "" */
+    const char *names; /* of instances, and others; offset 0 is "" */
     uint64_t names_size;
     svo_poses poses; /* as stated */
+    uint64_t clip_count;
+    const fmt_scene_json_clip *clips; /* poses that come from animations */
     bool has_camera;
     svo_mat4 camera_transform;
     double camera_yfov;
-    svo_buffer storage[5]; /* private: assets, places, names, poses, matrices */
+    svo_buffer storage[6]; /* private: assets, places, names, poses, matrices, clips */
 } fmt_scene_json;
 
 /* Parse `size` bytes of UTF-8. Every rule is checked: unknown keys, wrong types, numbers that are not finite, paths that

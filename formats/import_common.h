@@ -25,6 +25,9 @@ typedef struct import_context {
     void *file_read_user;
     const svo_spill *spill; /* may be NULL */
     uint64_t memory;        /* what a spilling import may take, about */
+    struct fmt_rig *rig;    /* may be NULL */
+    const char *animation;  /* may be NULL */
+    double time;
     svo_pager *pager;       /* may be NULL */
     bool spilling;          /* read window by window into the spill */
     bool mapped;            /* the model's bytes are a mapped file */

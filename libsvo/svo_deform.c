@@ -6,6 +6,7 @@
 
 typedef struct box { double low[3], high[3]; } box;
 
+static const double identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
 static const box empty_box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
 
 /* Join the image of [low, high] under the rows of m (Arvo 1990, figure 15). */
@@ -213,27 +214,25 @@ svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p)
     return point_after(d, &in, p);
 }
 
-void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3])
+/* From the box in the pose's coordinates (after `in`) to the target: twist, bend, out. Rounding of the sums, here and of whoever maps a point, is allowed for. */
+static void box_after(const svo_deform *d, const double in[12], const double low[3], const double high[3], double out_low[3], double out_high[3])
 {
-    static const double identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0};
-    svo_mat4 in = inner(d, bone);
     box b;
     switch (d->flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) {
-    case SVO_POSE_TWIST: b = through_slices(&d->twist, true, in.m, d->out.m, low, high); break;
-    case SVO_POSE_BEND: b = through_slices(&d->bend, false, in.m, d->out.m, low, high); break;
+    case SVO_POSE_TWIST: b = through_slices(&d->twist, true, in, d->out.m, low, high); break;
+    case SVO_POSE_BEND: b = through_slices(&d->bend, false, in, d->out.m, low, high); break;
     case SVO_POSE_TWIST | SVO_POSE_BEND: {
-        box t = through_slices(&d->twist, true, in.m, identity, low, high);
+        box t = through_slices(&d->twist, true, in, identity, low, high);
         b = through_slices(&d->bend, false, identity, d->out.m, t.low, t.high);
         break;
     }
     default: {
         double all[12];
-        multiply(d->out.m, in.m, all);
+        multiply(d->out.m, in, all);
         b = empty_box;
         join(&b, all, low, high);
     }
     }
-    /* Rounding of the sums, here and of whoever maps a point. */
     for (int i = 0; i < 3; i++) {
         double slack = 64 * DBL_EPSILON * farthest(b.low[i], b.high[i]);
         out_low[i] = b.low[i] - slack;
@@ -241,36 +240,118 @@ void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], con
     }
 }
 
-void svo_deform_box_set(const svo_deform *d, uint64_t set, const double low[3], const double high[3], double out_low[3], double out_high[3])
-{
-    box all = empty_box;
-    double l[3], h[3];
-    bool rest = (set >> 63) != 0 || set == 0;
-    for (uint64_t m = set & ~((uint64_t)1 << 63); m != 0; m &= m - 1) {
-        uint32_t first = (uint32_t)__builtin_ctzll(m);
-        rest = rest || first >= d->bone_count;
-        for (uint32_t bone = first; bone < d->bone_count; bone += 63) { /* labels that share a bit */
-            svo_deform_box(d, bone, low, high, l, h);
-            for (int k = 0; k < 3; k++) {
-                if (!(l[k] >= all.low[k])) all.low[k] = l[k];
-                if (!(h[k] <= all.high[k])) all.high[k] = h[k];
-            }
-        }
-    }
-    if (rest) {
-        svo_deform_box(d, SVO_NO_BONE, low, high, l, h);
-        for (int k = 0; k < 3; k++) {
-            if (!(l[k] >= all.low[k])) all.low[k] = l[k];
-            if (!(h[k] <= all.high[k])) all.high[k] = h[k];
-        }
-    }
-    memcpy(out_low, all.low, sizeof all.low);
-    memcpy(out_high, all.high, sizeof all.high);
-}
-
-svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n)
+void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3])
 {
     svo_mat4 in = inner(d, bone);
+    box_after(d, in.m, low, high, out_low, out_high);
+}
+
+/* ---- several bones ---------------------------------------------------------------------------------------------------- */
+
+/* The most (sign 1) or the least (sign -1) of the sum of weight * value, for weights in the ranges that add up to 1: what is left of 1 beside the least weights goes to the
+ * largest values first. */
+static double extreme_sum(const svo_bone_range *range, uint32_t n, const double *value, double sign)
+{
+    bool taken[SVO_BONE_LIST_MOST] = {false};
+    double sum = 0;
+    int left = 255;
+    for (uint32_t i = 0; i < n; i++) {
+        left -= range[i].low;
+        if (range[i].low != 0) sum += range[i].low * value[i];
+    }
+    while (left > 0) {
+        uint32_t best = n;
+        for (uint32_t i = 0; i < n; i++)
+            if (!taken[i] && (best == n || sign * value[i] > sign * value[best])) best = i;
+        if (best == n) break;
+        int more = range[best].high - range[best].low;
+        if (more > left) more = left;
+        if (more != 0) sum += more * value[best];
+        taken[best] = true;
+        left -= more;
+    }
+    return sum / 255;
+}
+
+/* Bounds of the images of a box under `rows` * the bones' matrices. */
+static box blended(const svo_deform *d, svo_bone_list list, const svo_mat4 *rows, const double low[3], const double high[3])
+{
+    box b = empty_box, image[SVO_BONE_LIST_MOST];
+    if (list.range == NULL) { /* any weights: the images under each bone, and what rests */
+        for (uint32_t i = 0; i <= d->bone_count; i++) {
+            double m[12];
+            svo_mat4 in = inner(d, i);
+            multiply(rows->m, in.m, m);
+            join(&b, m, low, high);
+        }
+        return b;
+    }
+    for (uint32_t i = 0; i < list.count; i++) {
+        double m[12];
+        svo_mat4 in = inner(d, list.range[i].bone);
+        multiply(rows->m, in.m, m);
+        image[i] = empty_box;
+        join(&image[i], m, low, high);
+    }
+    if (list.count == 1) return image[0];
+    for (int k = 0; k < 3; k++) {
+        double value[SVO_BONE_LIST_MOST];
+        for (uint32_t i = 0; i < list.count; i++) value[i] = image[i].low[k];
+        b.low[k] = extreme_sum(list.range, list.count, value, -1);
+        for (uint32_t i = 0; i < list.count; i++) value[i] = image[i].high[k];
+        b.high[k] = extreme_sum(list.range, list.count, value, 1);
+    }
+    return b;
+}
+
+void svo_deform_blended_box(const svo_deform *d, svo_bone_list list, const double low[3], const double high[3], double out_low[3], double out_high[3])
+{
+    if ((d->flags & SVO_POSE_BONES) == 0 || list.count == 1) {
+        svo_deform_box(d, list.count == 1 ? list.range[0].bone : SVO_NO_BONE, low, high, out_low, out_high);
+        return;
+    }
+    static const svo_mat4 none = {{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1}};
+    if ((d->flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) == 0) {
+        box b = blended(d, list, &d->out, low, high);
+        for (int i = 0; i < 3; i++) {
+            double slack = 64 * DBL_EPSILON * farthest(b.low[i], b.high[i]);
+            out_low[i] = b.low[i] - slack, out_high[i] = b.high[i] + slack;
+        }
+        return;
+    }
+    /* Twist and bend are of the blended point: bounds before them, widened by rounding, go through them. */
+    box b = blended(d, list, &none, low, high);
+    for (int i = 0; i < 3; i++) {
+        double slack = 64 * DBL_EPSILON * farthest(b.low[i], b.high[i]);
+        b.low[i] -= slack, b.high[i] += slack;
+    }
+    box_after(d, identity, b.low, b.high, out_low, out_high);
+}
+
+/* The matrix for weights in the middle of the ranges. */
+static svo_mat4 middle(const svo_deform *d, svo_bone_list list)
+{
+    if ((d->flags & SVO_POSE_BONES) == 0 || list.range == NULL || list.count == 1) return inner(d, list.count == 1 ? list.range[0].bone : SVO_NO_BONE);
+    svo_mat4 sum = {{0}};
+    double total = 0;
+    for (uint32_t i = 0; i < list.count; i++) total += list.range[i].low + list.range[i].high;
+    for (uint32_t i = 0; i < list.count; i++) {
+        svo_mat4 m = inner(d, list.range[i].bone);
+        for (int k = 0; k < 16; k++) sum.m[k] += (list.range[i].low + list.range[i].high) / total * m.m[k];
+    }
+    return sum;
+}
+
+svo_vec3 svo_deform_blended_point(const svo_deform *d, svo_bone_list list, svo_vec3 p)
+{
+    svo_mat4 in = middle(d, list);
+    return point_after(d, &in, p);
+}
+
+/* ---- normals ----------------------------------------------------------------------------------------------------------- */
+
+static svo_vec3 normal_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p, double edge, svo_vec3 n)
+{
     svo_vec3 g = svo_v3(0, 0, 0), column[3];
     /* as a covector of the grid: n in mesh coordinates times the transposed map */
     const double *m = d->grid.m;
@@ -280,10 +361,22 @@ svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, doubl
     double h = 0.25 * edge;
     for (int k = 0; k < 3; k++) {
         svo_vec3 step = svo_v3(k == 0 ? h : 0, k == 1 ? h : 0, k == 2 ? h : 0);
-        column[k] = svo_sub(point_after(d, &in, svo_add(p, step)), point_after(d, &in, svo_sub(p, step)));
+        column[k] = svo_sub(point_after(d, in, svo_add(p, step)), point_after(d, in, svo_sub(p, step)));
     }
     svo_vec3 a = svo_cross(column[1], column[2]), b = svo_cross(column[2], column[0]), c = svo_cross(column[0], column[1]);
     double sign = svo_dot(column[0], a) < 0 ? -1 : 1; /* a reflection keeps the side */
     svo_vec3 r = svo_add(svo_scale(a, g.x), svo_add(svo_scale(b, g.y), svo_scale(c, g.z)));
     return svo_normalize(svo_scale(r, sign));
+}
+
+svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n)
+{
+    svo_mat4 in = inner(d, bone);
+    return normal_after(d, &in, p, edge, n);
+}
+
+svo_vec3 svo_deform_blended_normal(const svo_deform *d, svo_bone_list list, svo_vec3 p, double edge, svo_vec3 n)
+{
+    svo_mat4 in = middle(d, list);
+    return normal_after(d, &in, p, edge, n);
 }

@@ -9,14 +9,13 @@
 #ifndef SVO_DEFORM_H
 #define SVO_DEFORM_H
 
+#include "svo_bones.h"
 #include "svo_pose.h"
 #include "svo_scene.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-#define SVO_NO_BONE UINT32_MAX
 
 /* Figure 16: bounds of a box under both matrices (3x4 rows of svo_mat4). */
 void svo_deform_two(const svo_mat4 a[2], const double low[3], const double high[3], double out_low[3], double out_high[3]);
@@ -41,21 +40,27 @@ typedef struct svo_deform {
 /* pose NULL: none. grid_to_mesh: the asset's voxel_to_world; mesh_to_target: the instance's transform (or any affine map after it). */
 svo_deform svo_deform_make(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target);
 
-/* Image of a point, box (as said above) and unit normal at a point. `bone` is the label of the channel `bone`, SVO_NO_BONE without
- * one; it means nothing to a pose without bones. A box that overflows has bounds that are not finite. */
+/* Image of a point, box (as said above) and unit normal at a point, for what follows one bone: a label of the channel `bone`, SVO_NO_BONE for what rests; it means
+ * nothing to a pose without bones. A box that overflows has bounds that are not finite. */
 svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p);
 void svo_deform_box(const svo_deform *d, uint32_t bone, const double low[3], const double high[3], double out_low[3], double out_high[3]);
-/* The same for a set of bones (svo_bones.h): bounds of the images under each. */
-void svo_deform_box_set(const svo_deform *d, uint64_t set, const double low[3], const double high[3], double out_low[3], double out_high[3]);
 /* `edge`: of the voxel at p, grid units. Zero where the map is flat there. n in mesh coordinates. */
 svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n);
 
-/* Bounds of a box of the grid (an asset's voxels) under a pose (NULL: none), whatever its bones; false when they are not finite. Long twists and bends are cut
- * into pieces, so that the bounds are within a few percent. */
-bool svo_deform_bounds(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target, const double grid_low[3],
-                       const double grid_high[3], double low[3], double high[3]);
+/* The same for what follows several bones. A point goes to the sum of weight * image under the bone's matrix, and then through the pose's other parts. The box holds the images
+ * under all weights that the list allows. Points and normals are those for weights in the middle of the ranges. */
+svo_vec3 svo_deform_blended_point(const svo_deform *d, svo_bone_list list, svo_vec3 p);
+void svo_deform_blended_box(const svo_deform *d, svo_bone_list list, const double low[3], const double high[3], double out_low[3], double out_high[3]);
+svo_vec3 svo_deform_blended_normal(const svo_deform *d, svo_bone_list list, svo_vec3 p, double edge, svo_vec3 n);
+
+/* Bounds of an asset's voxels under a pose (NULL: none); false when they are not finite. Long twists and bends are cut into pieces, so that the bounds are within a few
+ * percent; of bones each moves the box of the voxels that follow it. */
+bool svo_deform_bounds(const svo_poses *poses, const svo_pose *pose, const svo_mat4 *grid_to_mesh, const svo_mat4 *mesh_to_target, const svo_extent *extent, double low[3],
+                       double high[3]);
 /* The same for an instance of a scene. */
-bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const double grid_low[3], const double grid_high[3], double low[3], double high[3]);
+bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const svo_extent *extent, double low[3], double high[3]);
+/* The extents of all assets, as many as there are; bones are told apart where an instance's pose has some. */
+svo_result svo_scene_extents(const svo_scene *s, const svo_allocator *a, svo_extent *out, svo_error *err);
 
 /* A copy of a scene in which every instance has the pose as stated (its matrix is the one given, its bones are not used), with new bounds of the pages. The
  * source is borrowed. */

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "svo_skin.h"
 #include "svo_task.h"
 #include "svo_text.h"
 #include "svoi_pack.h"
@@ -19,7 +20,7 @@
 typedef struct source {
     svo_view view; /* shallow copy; voxel_to_world may be moved */
     double shift[3]; /* mesh coordinates = moved coordinates + shift */
-    double low[3], high[3]; /* box of its voxels in grid coordinates (corners) */
+    svo_extent extent;
 } source;
 
 struct svo_packed_scene {
@@ -48,6 +49,7 @@ void svo_packed_scene_free(svo_packed_scene *p)
 {
     if (p == NULL) return;
     const svo_allocator *a = p->allocator;
+    for (uint32_t i = 0; p->sources != NULL && i < p->input_assets; i++) svo_extent_free(&p->sources[i].extent);
     svo_free(a, p->sources, p->input_assets, sizeof *p->sources);
     svo_free(a, p->report.assets, p->input_assets, sizeof *p->report.assets);
     svo_free(a, p->views, p->input_assets, sizeof *p->views);
@@ -100,16 +102,13 @@ static svo_result look_at_asset(packer *p, uint32_t a, svo_error *err)
 {
     source *s = &p->out->sources[a];
     s->view = *p->in->assets[a];
-    bool any;
-    uint32_t low[3], high[3];
-    SVO_TRY(svo_view_grid_bounds(&s->view, p->allocator, &any, low, high, err));
-    if (!any) return SVO_OK;
-    for (int k = 0; k < 3; k++) s->low[k] = low[k], s->high[k] = (double)high[k] + 1;
+    SVO_TRY(svo_extent_make(&s->view, false, p->allocator, &s->extent, err));
+    if (s->view.empty) return SVO_OK;
     double *m = s->view.voxel_to_world;
     svo_mat4 to_world;
     memcpy(to_world.m, m, sizeof to_world.m);
     double from[3], to[3], far_out = 0, edge = 0;
-    svo_box_transform(&to_world, s->low, s->high, 0, from, to);
+    svo_box_transform(&to_world, s->extent.low, s->extent.high, 0, from, to);
     for (int k = 0; k < 3; k++) {
         far_out = fmax(far_out, fmax(fabs(from[k]), fabs(to[k])));
         double e = svo_length(svo_v3(m[k], m[4 + k], m[8 + k]));
@@ -284,7 +283,7 @@ static bool place_box(const packer *p, const svo_mat4 *transform, uint64_t numbe
     const svo_pose *pose = p->pose != NULL && p->pose[number] != SVO_NO_POSE ? &all.pose[p->pose[number]] : NULL;
     svo_mat4 grid;
     memcpy(grid.m, s->view.voxel_to_world, sizeof grid.m);
-    return svo_deform_bounds(&all, pose, &grid, transform, s->low, s->high, low, high);
+    return svo_deform_bounds(&all, pose, &grid, transform, &s->extent, low, high);
 }
 
 static svo_result find_centres(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
@@ -506,7 +505,7 @@ static svo_result take_poses(packer *p, svo_error *err)
         svo_mat4 grid;
         double low[3], high[3];
         memcpy(grid.m, s->view.voxel_to_world, sizeof grid.m);
-        svo_box_transform(&grid, s->low, s->high, 0, low, high);
+        svo_box_transform(&grid, s->extent.low, s->extent.high, 0, low, high);
         for (int k = 0; k < 3; k++) low[k] += s->shift[k], high[k] += s->shift[k];
         svo_result result = svoi_pose_table_add(&o->poses, &in->poses, place->pose - 1, low, high, s->shift, &p->pose[p->order[i]], err);
         if (result != SVO_OK) {
@@ -518,28 +517,40 @@ static svo_result take_poses(packer *p, svo_error *err)
         const svo_pose *pose = (const svo_pose *)(const void *)o->poses.poses.data + p->pose[p->order[i]];
         if ((pose->flags & SVO_POSE_BONES) != 0) o->report.assets[place->asset].bones = true;
     }
+    for (uint32_t a = 0; a < in->asset_count; a++)
+        if (o->report.assets[a].bones) SVO_TRY(svo_extent_make(&o->sources[a].view, true, p->allocator, &o->sources[a].extent, err));
     o->report.poses_rest = o->poses.rest, o->report.poses_shared = o->poses.shared;
     o->report.bones_rest = o->poses.bones_rest, o->report.matrices_shared = o->poses.matrices_shared;
     return SVO_OK;
 }
 
-/* Channels `bone` that no pose asks for. One that is the only channel that varies stays: without it the octree's numbering would have to go as well. */
+static uint64_t channel_bytes(const svo_view *v, const svo_view_channel *k)
+{
+    uint64_t stride = svo_channel_stride(k->channel.kind);
+    if (k->encoding == SVO_ENCODING_RAW) return v->attribute_count * stride;
+    return k->encoding == SVO_ENCODING_BLOCKS ? k->table_count * stride + k->superblock_count * SVO_PALETTE_ENTRY + k->payload_size : 0;
+}
+
+/* Channels of bones (svo_skin.h) that no pose asks for. Where nothing else varies they stay: without them the octree's numbering would have to go as well. */
 static void drop_bones(packer *p)
 {
     svo_pack_report *r = &p->out->report;
     for (uint32_t a = 0; a < p->in->asset_count; a++) {
         svo_view *v = &p->out->sources[a].view;
+        uint32_t varying = 0, kept = 0;
         if (r->assets[a].fate != SVO_PACK_KEPT || r->assets[a].bones || p->keep_bones) continue;
-        uint32_t c = svo_view_find_channel(v, "bone"), varying = 0;
-        for (uint32_t i = 0; i < v->channel_count; i++) varying += i != c && v->channels[i].encoding != SVO_ENCODING_CONSTANT;
-        if (c >= v->channel_count || (varying == 0 && !v->unnumbered)) continue;
-        const svo_view_channel *k = &v->channels[c];
-        uint64_t stride = svo_channel_stride(k->channel.kind);
-        if (k->encoding == SVO_ENCODING_RAW) r->bone_channel_bytes += v->attribute_count * stride;
-        if (k->encoding == SVO_ENCODING_BLOCKS) r->bone_channel_bytes += k->table_count * stride + k->superblock_count * SVO_PALETTE_ENTRY + k->payload_size;
-        r->bone_channels++;
-        memmove(&v->channels[c], &v->channels[c + 1], (v->channel_count - c - 1) * sizeof v->channels[0]);
-        v->channel_count--;
+        for (uint32_t i = 0; i < v->channel_count; i++) varying += !svo_skin_is_channel(v->channels[i].channel.name) && v->channels[i].encoding != SVO_ENCODING_CONSTANT;
+        if (varying == 0 && !v->unnumbered) continue;
+        for (uint32_t i = 0; i < v->channel_count; i++) {
+            if (!svo_skin_is_channel(v->channels[i].channel.name)) {
+                if (kept != i) v->channels[kept] = v->channels[i];
+                kept++;
+                continue;
+            }
+            r->bone_channel_bytes += channel_bytes(v, &v->channels[i]);
+            r->bone_channels++;
+        }
+        v->channel_count = kept;
     }
 }
 

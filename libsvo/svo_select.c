@@ -144,7 +144,9 @@ static uint32_t children(const svo_view *v, const visit *n, visit out[8])
     return count;
 }
 
-static bool take(const selecting *s, const svo_deform *d, const svo_view *v, uint64_t instance, const visit *n, const double low[3], const double high[3],
+static const svo_bone_range resting = {SVO_NO_BONE, 255, 255, {0, 0}};
+
+static bool take(const selecting *s, const svo_deform *d, const svo_view *v, const svo_bones *bones, uint64_t instance, const visit *n, const double low[3], const double high[3],
                  double edge, output *out)
 {
     svo_selected b = {.instance = (uint32_t)instance, .attribute = n->node.attribute};
@@ -160,14 +162,9 @@ static bool take(const selecting *s, const svo_deform *d, const svo_view *v, uin
         float f[3];
         svo_view_attribute(v, channel, n->node.attribute, value);
         svo_oct32_decode(value, f);
-        uint32_t bone = SVO_NO_BONE, labels = (d->flags & SVO_POSE_BONES) != 0 ? svo_view_find_channel(v, "bone") : SVO_MAX_CHANNELS;
-        if (labels < v->channel_count) { /* of a coarse node: that of most of its voxels */
-            uint8_t label[SVO_MAX_STRIDE] = {0};
-            svo_view_attribute(v, labels, n->node.attribute, label);
-            memcpy(&bone, label, sizeof bone);
-        }
+        svo_bone_list list = bones != NULL ? svo_bones_at(bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
         svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};
-        normal = svo_deform_normal(d, bone, middle, edge, svo_v3(f[0], f[1], f[2]));
+        normal = svo_deform_blended_normal(d, list, middle, edge, svo_v3(f[0], f[1], f[2]));
     }
     if (svo_dot(normal, normal) == 0) normal = svo_normalize(svo_v3(-0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -0.5 * (low[2] + high[2])));
     float f[3] = {(float)normal.x, (float)normal.y, (float)normal.z};
@@ -185,7 +182,7 @@ static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, co
 {
     double from[3], to[3], size;
     for (int k = 0; k < 3; k++) from[k] = n->cell[k] * edge, to[k] = from[k] + edge;
-    if (bones != NULL) svo_deform_box_set(d, svo_bones_set(bones, n->level, n->cell), from, to, low, high);
+    if (bones != NULL) svo_deform_blended_box(d, svo_bones_at(bones, n->level, n->cell), from, to, low, high);
     else svo_deform_box(d, SVO_NO_BONE, from, to, low, high);
     for (int k = 0; k < 3; k++)
         if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return OVERFLOW;
@@ -233,7 +230,7 @@ static svo_result run_job(const selecting *s, const job *j, output *out, svo_err
         case OUTSIDE: out->report.outside++; break;
         case BEHIND: out->report.hidden++; break;
         case TAKE:
-            if (!take(s, &d, v, j->instance, &n, low, high, edge, out)) return no_memory(err);
+            if (!take(s, &d, v, bones_of(s, &d, j->instance), j->instance, &n, low, high, edge, out)) return no_memory(err);
             break;
         case DESCEND: {
             uint32_t count = children(v, &n, next);

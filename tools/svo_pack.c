@@ -10,9 +10,10 @@
 typedef struct pack_options {
     uint64_t depth, page, budget;
     double voxel_size, view_distance;
-    const char *color, *normal, *attributes;
-    int surface, fill, lod;
-    bool has_depth, has_size, has_distance, has_budget;
+    const char *color, *normal, *attributes, *animation;
+    double time;
+    int surface, fill, lod, skins;
+    bool has_depth, has_size, has_distance, has_budget, has_animation, has_time;
 } pack_options;
 
 /* --view-distance: a voxel is at most a pixel of a picture of this height and field of view. */
@@ -21,6 +22,7 @@ typedef struct pack_options {
 
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 static const char *const fills[] = {"surface", "solid", NULL};
+static const char *const skins[] = {"pose", "bake", NULL};
 static const char *const lods[] = {"all", "none", NULL};
 
 static void next_phase(void *user, const char *name) { cli_phase(user, name); }
@@ -53,9 +55,11 @@ static json_t *left_out(json_t *list, const char *what, uint64_t count, const ch
 static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_scene_build_asset *assets, uint32_t count, const uint64_t *bytes)
 {
     const svo_pack_report *r = fmt_scene_build_report(b);
+    uint64_t bones_left = 0;
     for (uint32_t i = 0; i < count; i++) {
         const fmt_scene_build_asset *a = &assets[i];
         json_t *o = NULL;
+        bones_left += a->bones_left_out;
         if (a->packed.fate == SVO_PACK_UNUSED) o = left_out(list, "asset that no visible instance names", 1, "assets", a->source_bytes);
         if (a->packed.fate == SVO_PACK_EMPTY) o = left_out(list, "asset without voxels", 1, "assets", a->source_bytes);
         if (a->packed.fate == SVO_PACK_EQUAL) o = left_out(list, "asset equal to another one", 1, "assets", bytes[a->packed.packed]);
@@ -74,6 +78,7 @@ static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_sc
         {"poses that move nothing", r->poses_rest, "poses", r->poses_rest * sizeof(svo_pose)},
         {"poses equal to another one", r->poses_shared, "poses", r->poses_shared * sizeof(svo_pose)},
         {"bones that no pose moves, at the end of a pose's list", r->bones_rest, "matrices", r->bones_rest * 48},
+        {"bones that no pose moves or no vertex follows", bones_left, "matrices", bones_left * 48},
         {"matrices of poses equal to others", r->matrices_shared, "matrices", r->matrices_shared * 48},
         {"channels bone of assets whose instances' poses have no bones", r->bone_channels, "channels", r->bone_channel_bytes}};
     for (size_t i = 0; i < sizeof poses / sizeof poses[0]; i++)
@@ -122,6 +127,10 @@ static void report_scene(cli *c, const fmt_scene_build *b, const fmt_scene_bytes
             cli_put_u64(o, "voxels", a->voxels);
             cli_put_u64(o, "packed_as", a->packed.packed);
             cli_put_u64(o, "bytes", a->packed.fate == SVO_PACK_KEPT ? asset_bytes[a->packed.packed] : 0);
+            if (a->bones != 0) {
+                cli_put_u64(o, "bones", a->bones);
+                cli_put_u64(o, "bones_kept", a->bones_kept);
+            }
         }
         json_array_append_new(list, o);
     }
@@ -272,6 +281,12 @@ int main(int argc, char **argv)
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees.", .group = "Meshes and .svo files"},
         {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes.",
          .group = "Meshes and .svo files"},
+        {.name = "animation", .kind = CLI_TEXT, .value = &o.animation, .argument = "NAME|NUMBER", .seen = &o.has_animation, .no_default = true,
+         .help = "glTF scenes: the animation that poses skins and moves nodes; the first one with --time alone.", .group = "Scene"},
+        {.name = "time", .kind = CLI_DOUBLE, .value = &o.time, .argument = "S", .min = -1e9, .max = 1e9, .seen = &o.has_time,
+         .help = "Time of the animation in seconds.", .group = "Scene"},
+        {.name = "skins", .kind = CLI_CHOICE, .value = &o.skins, .choices = skins, .argument = "KIND",
+         .help = "Skinned meshes: an octree with bones and a pose, or baked as they stand.", .group = "Scene"},
         {.name = "page", .kind = CLI_U64, .value = &o.page, .argument = "N", .min = 1, .max = 1 << 24, .help = "Most instances in a page.", .group = "Scene"},
     };
     const cli_tool tool = {
@@ -295,6 +310,7 @@ int main(int argc, char **argv)
     if (o.has_distance && (o.has_depth || o.has_size || o.has_budget)) return cli_usage(&c, "--view-distance excludes --depth, --voxel-size and --budget");
     if (o.has_budget && o.has_size) return cli_usage(&c, "--budget excludes --voxel-size");
     if (o.has_budget && strcmp(c.inputs[0], "-") == 0) return cli_usage(&c, "--budget reads the scene several times: it cannot come from stdin");
+    if ((o.has_animation || o.has_time) && o.skins == 1) return cli_usage(&c, "--animation and --time pose skins: they exclude --skins bake");
     if (o.has_distance) o.voxel_size = 2 * o.view_distance * tan(0.5 * VIEW_FOV) / VIEW_PIXELS;
     if (o.has_budget && !o.has_depth) o.depth = 16;
     if ((code = cli_take_channels(&c, o.attributes, &build.voxelize.channels)) >= 0) return code;
@@ -302,6 +318,9 @@ int main(int argc, char **argv)
     build.depth = (uint32_t)o.depth;
     build.voxel_size = o.has_size || o.has_distance ? o.voxel_size : 0;
     build.page_instances = (uint32_t)o.page;
+    if (o.has_animation || o.has_time) build.animation = o.has_animation ? o.animation : "0";
+    build.time = o.time;
+    build.bake_skins = o.skins == 1;
     build.voxelize.surface = (svo_surface)o.surface;
     build.voxelize.fill = (svo_fill)o.fill;
     build.dag.lod = o.lod == 0;

@@ -73,12 +73,20 @@ struct gltf_skin {
     int inverse_bind_matrices = -1;
 };
 
+/* A part of a node that an animation moves; numbers of accessors. */
+struct gltf_track { int node, part, interpolation, input, output; };
+struct gltf_animation {
+    std::string name;
+    std::vector<gltf_track> tracks;
+};
+
 struct gltf_document {
     const import_context *context = nullptr;
     tinygltf::Model model;
     std::vector<std::unique_ptr<gltf_bytes>> buffers;
     std::vector<gltf_image> images;
     std::vector<gltf_skin> skins;
+    std::vector<gltf_animation> animations; /* only with a rig */
     std::vector<std::vector<int>> indices; /* accessor of each primitive of each mesh, -1: none */
     std::vector<int> parent; /* of each node, -1 for roots */
     int scene = -1;          /* default scene of the file, -1: none stated */
@@ -137,9 +145,13 @@ const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size,
 /* value of a normalised or plain integer component, as the accessor says */
 double gltf_component_value(double raw, int component_type, bool normalized);
 
-/* gltf_mesh.cpp: parts of one mesh; joints != nullptr: skinned positions in world space. */
+/* gltf_mesh.cpp: parts of one mesh. With a skinning: positions skinned to world space by `joints`; where `keep` is given they stay as they
+ * are, and what they are bound to goes there. */
+struct fmt_rig_shape;
 struct gltf_skinning {
     std::vector<svo_mat4> joints;
+    size_t joint_count = 0;
+    fmt_rig_shape *keep = nullptr; /* its array of parts is made */
 };
 void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape);
 /* The same checks for a mesh that is not drawn, so that a broken file is refused wherever it is broken. */

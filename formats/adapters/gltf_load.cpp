@@ -280,6 +280,7 @@ void gltf_load(gltf_document &d, const uint8_t *bytes, uint64_t size)
         account_buffers(d, f);
         take_images(d, root);
         take_skins(d, root);
+        if (d.context->rig != nullptr) gltf_take_animations(d, root);
         take_indices(d, root);
         for (const char *key : {"buffers", "images", "skins", "animations", "extras"}) root.erase(key);
         slim = root.dump();

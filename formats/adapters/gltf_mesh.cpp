@@ -1,5 +1,5 @@
 /* Primitives of a glTF mesh to parts: modes, indices, attributes, Draco, bind-pose skinning. */
-#include "gltf_document.hpp"
+#include "gltf_rig.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -43,6 +43,7 @@ struct primitive_reader {
     std::string where;
     const gltf_skinning *skinning;
     int index_accessor; /* -1: none */
+    fmt_rig_part *rig_part; /* where influences go; NULL: vertices are skinned */
 
     uint64_t vertex_count = 0;
     std::vector<uint32_t> indices; /* of triangles, already unrolled */
@@ -109,7 +110,9 @@ struct primitive_reader {
     void build(svo_part *part);
     void spill(svo_part *part);
     void fill(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n);
-    void skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n);
+    std::vector<std::pair<uint32_t, double>> bound(const attributes &a, uint64_t vertex) const;
+    void skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &kept, uint64_t n);
+    void influence(const attributes &a, const std::vector<uint32_t> &kept, uint64_t n);
 };
 
 /* The index accessor, NULL where vertices are taken in order. */
@@ -212,7 +215,9 @@ void primitive_reader::fill(svo_part *part, const attributes &a, const std::vect
         /* Linear, 0..1 by the specification; what is not a number is white. */
         for (uint64_t k = 0; k < 4; k++) part->colors[4 * i + k] = std::isnan(v[k]) ? 1.0f : static_cast<float>(std::clamp(v[k], 0.0, 1.0));
     }
-    if (!a.bindings.empty()) skin(part, a, keep, n);
+    if (a.bindings.empty()) return;
+    if (rig_part != nullptr) influence(a, keep, n);
+    else skin(part, a, keep, n);
 }
 
 /* Arrays for n vertices. */
@@ -225,31 +230,35 @@ void allocate(const gltf_document &d, svo_part *part, const attributes &a, uint6
     if (a.colors.present()) part->colors = gltf_array<float>(d, n, 4);
 }
 
-/* Bind pose: vertex = sum of weight * joint matrix * vertex. The instance then stands at the origin (a skinned node's own
+/* Joints and weights of a vertex, weights adding up to 1. Bound to nothing: the first joint carries it. */
+std::vector<std::pair<uint32_t, double>> primitive_reader::bound(const attributes &a, uint64_t vertex) const
+{
+    std::vector<std::pair<uint32_t, double>> all;
+    double total = 0;
+    for (const attributes::binding &s : a.bindings) {
+        double joint[4], weight[4];
+        s.joints.get(vertex, joint);
+        s.weights.get(vertex, weight);
+        for (int k = 0; k < 4; k++) {
+            if (weight[k] == 0) continue;
+            if (!(joint[k] >= 0 && joint[k] < static_cast<double>(skinning->joint_count))) bad("a joint index is out of range");
+            all.emplace_back(static_cast<uint32_t>(joint[k]), weight[k]);
+            total += weight[k];
+        }
+    }
+    if (!(std::fabs(total) > 0) || !std::isfinite(total)) return {{0, 1.0}};
+    for (auto &one : all) one.second /= total;
+    return all;
+}
+
+/* As the nodes stand: vertex = sum of weight * joint matrix * vertex. The instance then stands at the origin (a skinned node's own
  * transform has no effect). */
-void primitive_reader::skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &keep, uint64_t n)
+void primitive_reader::skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &kept, uint64_t n)
 {
     for (uint64_t i = 0; i < n; i++) {
-        uint64_t from = keep.empty() ? i : keep[i];
         svo_mat4 m{};
-        double total = 0;
-        for (const attributes::binding &s : a.bindings) {
-            double joint[4], weight[4];
-            s.joints.get(from, joint);
-            s.weights.get(from, weight);
-            for (int k = 0; k < 4; k++) {
-                if (weight[k] == 0) continue;
-                if (!(joint[k] >= 0 && joint[k] < static_cast<double>(skinning->joints.size()))) bad("a joint index is out of range");
-                const svo_mat4 &j = skinning->joints[static_cast<size_t>(joint[k])];
-                for (int e = 0; e < 16; e++) m.m[e] += weight[k] * j.m[e];
-                total += weight[k];
-            }
-        }
-        if (!(std::fabs(total) > 0) || !std::isfinite(total)) { /* bound to nothing: the first joint carries it */
-            m = skinning->joints[0];
-            total = 1;
-        }
-        for (double &e : m.m) e /= total;
+        for (const auto &one : bound(a, kept.empty() ? i : kept[i]))
+            for (int e = 0; e < 16; e++) m.m[e] += one.second * skinning->joints[one.first].m[e];
         svo_vec3 q = svo_mat4_point(&m, svo_v3(part->positions[3 * i], part->positions[3 * i + 1], part->positions[3 * i + 2]));
         part->positions[3 * i] = q.x, part->positions[3 * i + 1] = q.y, part->positions[3 * i + 2] = q.z;
         if (part->normals == nullptr) continue;
@@ -257,6 +266,28 @@ void primitive_reader::skin(svo_part *part, const attributes &a, const std::vect
         svo_vec3 normal = svo_normalize(
             svo_mat4_normal(&m, svo_v3(static_cast<double>(o[0]), static_cast<double>(o[1]), static_cast<double>(o[2]))));
         o[0] = static_cast<float>(normal.x), o[1] = static_cast<float>(normal.y), o[2] = static_cast<float>(normal.z);
+    }
+}
+
+/* The four greatest influences of each vertex. */
+void primitive_reader::influence(const attributes &a, const std::vector<uint32_t> &kept, uint64_t n)
+{
+    rig_part->influences = gltf_array<svo_influence>(d, n);
+    rig_part->vertex_count = n;
+    for (uint64_t i = 0; i < n; i++) {
+        std::vector<std::pair<uint32_t, double>> all = bound(a, kept.empty() ? i : kept[i]);
+        for (size_t k = 0; k < all.size(); k++) /* a joint that is named twice */
+            for (size_t l = k + 1; l < all.size(); l++)
+                if (all[l].first == all[k].first) all[k].second += all[l].second, all[l].second = 0;
+        std::stable_sort(all.begin(), all.end(), [](const auto &x, const auto &y) { return x.second > y.second; });
+        if (all.size() > SVO_SKIN_BONES && all[SVO_SKIN_BONES].second > 0)
+            svo_warn(d.warnings(), "%s: %s has vertices of more than %u bones; the greatest count", d.path(), where.c_str(), SVO_SKIN_BONES);
+        svo_influence &to = rig_part->influences[i];
+        for (size_t k = 0; k < SVO_SKIN_BONES; k++) {
+            bool there = k < all.size() && all[k].second > 0;
+            to.bone[k] = there ? static_cast<uint16_t>(all[k].first) : static_cast<uint16_t>(SVO_SKIN_REST);
+            to.weight[k] = there ? static_cast<float>(all[k].second) : 0;
+        }
     }
 }
 
@@ -388,9 +419,10 @@ void primitive_reader::spill(svo_part *part)
 
 primitive_reader reader_of(gltf_document &d, int mesh, uint32_t i, const gltf_skinning *skinning)
 {
+    fmt_rig_part *keep = skinning != nullptr && skinning->keep != nullptr ? &skinning->keep->parts[i] : nullptr;
     return primitive_reader{d, d.model.meshes[static_cast<size_t>(mesh)].primitives[i],
                             "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
-                            d.indices.at(static_cast<size_t>(mesh)).at(i), 0, {}, {}, 0, false, {}, {}};
+                            d.indices.at(static_cast<size_t>(mesh)).at(i), keep, 0, {}, {}, 0, false, {}, {}};
 }
 
 } // namespace

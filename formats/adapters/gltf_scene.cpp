@@ -1,5 +1,5 @@
 /* The node forest of the drawn scene to shapes, instances and cameras. */
-#include "gltf_document.hpp"
+#include "gltf_rig.hpp"
 
 #include <cmath>
 #include <cstring>
@@ -16,8 +16,12 @@ struct scene_builder {
     std::vector<svo_instance> instances;
     std::vector<svo_camera> cameras;
     std::map<std::pair<int, int>, uint32_t> known; /* (mesh, skin or -1) -> shape */
+    fmt_rig own{}, *rig; /* the caller's or our own */
+    std::vector<fmt_rig_shape> rig_shapes; /* owned until finish() */
+    std::vector<uint32_t> nodes;           /* of each instance */
+    uint32_t node_now = 0;
 
-    scene_builder(gltf_document &doc, svo_mesh *out) : d(doc), mesh(out) {}
+    scene_builder(gltf_document &doc, svo_mesh *out) : d(doc), mesh(out), rig(doc.context->rig != nullptr ? doc.context->rig : &own) {}
     scene_builder(const scene_builder &) = delete;
     scene_builder &operator=(const scene_builder &) = delete;
     ~scene_builder()
@@ -30,21 +34,11 @@ struct scene_builder {
         }
         for (svo_instance &i : instances) svo_string_free(a, i.name);
         for (svo_camera &c : cameras) svo_string_free(a, c.name);
-    }
-
-    static svo_mat4 local(const tinygltf::Node &n)
-    {
-        if (n.matrix.size() == 16) { /* column-major */
-            svo_mat4 m;
-            for (size_t r = 0; r < 4; r++)
-                for (size_t c = 0; c < 4; c++) m.m[4 * r + c] = n.matrix[4 * c + r];
-            return m;
+        for (fmt_rig_shape &s : rig_shapes) {
+            for (uint32_t i = 0; i < s.part_count; i++) svo_free(a, s.parts[i].influences, s.parts[i].vertex_count, sizeof(svo_influence));
+            svo_free(a, s.parts, s.part_count, sizeof(fmt_rig_part));
         }
-        double t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
-        if (n.translation.size() == 3) std::copy(n.translation.begin(), n.translation.end(), t);
-        if (n.rotation.size() == 4) std::copy(n.rotation.begin(), n.rotation.end(), q);
-        if (n.scale.size() == 3) std::copy(n.scale.begin(), n.scale.end(), s);
-        return svo_mat4_trs(t, q, s);
+        fmt_rig_free(&own);
     }
 
     /* Nodes below the roots in depth-first order of the file, without recursion; sets their world transforms. */
@@ -67,12 +61,16 @@ struct scene_builder {
         std::vector<int> roots;
         for (size_t i = 0; i < n; i++)
             if (d.parent[i] < 0) roots.push_back(static_cast<int>(i));
-        world.resize(n);
-        for (int i : walk(roots)) { /* all nodes: joints may stand outside the scene */
-            size_t k = static_cast<size_t>(i);
-            world[k] = local(d.model.nodes[k]);
-            if (d.parent[k] >= 0) world[k] = svo_mat4_mul(world[static_cast<size_t>(d.parent[k])], world[k]);
+        /* all nodes: joints may stand outside the scene */
+        gltf_build_rig(d, walk(roots), rig);
+        const import_context *c = d.context;
+        uint32_t animation = SVO_NONE;
+        if (c->rig != nullptr && c->animation != nullptr) {
+            animation = fmt_rig_find(rig, c->animation);
+            if (animation == SVO_NONE) svo_throw(SVO_INVALID_DATA, "%s: there is no animation '%.60s'; the file has %u", d.path(), c->animation, rig->animation_count);
         }
+        world.resize(n);
+        fmt_rig_world(rig, animation, c->time, world.data());
     }
 
     std::vector<int> scene_roots()
@@ -92,27 +90,18 @@ struct scene_builder {
 
     gltf_skinning skinning(int skin)
     {
-        const gltf_skin &s = d.skins.at(static_cast<size_t>(skin));
         gltf_skinning out;
-        std::unique_ptr<gltf_accessor> inverse;
-        if (s.inverse_bind_matrices >= 0) {
-            inverse = std::make_unique<gltf_accessor>(d, s.inverse_bind_matrices, "inverse bind matrices", 16, 16);
-            if (inverse->component_type() != TINYGLTF_COMPONENT_TYPE_FLOAT || inverse->count() < s.joints.size())
-                svo_throw(SVO_INVALID_DATA, "%s: skin %d has too few or wrong inverse bind matrices", d.path(), skin);
-        }
-        for (size_t j = 0; j < s.joints.size(); j++) {
-            svo_mat4 m = world[static_cast<size_t>(s.joints[j])];
-            if (inverse != nullptr) {
-                double v[16];
-                svo_mat4 bind;
-                inverse->get(j, v);
-                for (int r = 0; r < 4; r++)
-                    for (int c = 0; c < 4; c++) bind.m[4 * r + c] = v[4 * c + r];
-                m = svo_mat4_mul(m, bind);
-            }
-            out.joints.push_back(m);
-        }
+        out.joint_count = rig->skins[skin].joint_count;
+        if (d.context->rig != nullptr) return out;
+        for (uint32_t j = 0; j < rig->skins[skin].joint_count; j++) out.joints.push_back(fmt_rig_joint(rig, static_cast<uint32_t>(skin), j, world.data()));
         return out;
+    }
+
+    bool is_bound(int mesh_index) const
+    {
+        for (const tinygltf::Primitive &p : d.model.meshes.at(static_cast<size_t>(mesh_index)).primitives)
+            if (p.attributes.count("JOINTS_0") != 0 && p.attributes.count("WEIGHTS_0") != 0) return true;
+        return false;
     }
 
     uint32_t shape(int mesh_index, int skin)
@@ -120,9 +109,20 @@ struct scene_builder {
         auto it = known.find({mesh_index, skin});
         if (it != known.end()) return it->second;
         shapes.push_back(svo_shape{});
+        rig_shapes.push_back(fmt_rig_shape{SVO_NONE, 0, nullptr});
         if (skin >= 0) {
-            svo_warn(d.warnings(), "%s: skins are taken in their bind pose", d.path());
             gltf_skinning s = skinning(skin);
+            size_t primitives = d.model.meshes.at(static_cast<size_t>(mesh_index)).primitives.size();
+            if (d.context->rig == nullptr) svo_warn(d.warnings(), "%s: skins are taken in their bind pose", d.path());
+            else if (is_bound(mesh_index)) {
+                if (s.joint_count >= SVO_SKIN_REST) svo_throw(SVO_LIMIT, "%s: a skin has more than %u joints", d.path(), SVO_SKIN_REST - 1);
+                fmt_rig_shape &r = rig_shapes.back();
+                r.parts = gltf_array<fmt_rig_part>(d, primitives);
+                std::memset(static_cast<void *>(r.parts), 0, primitives * sizeof(fmt_rig_part));
+                r.part_count = static_cast<uint32_t>(primitives);
+                r.skin = static_cast<uint32_t>(skin);
+                s.keep = &r;
+            }
             gltf_build_parts(d, mesh_index, &s, &shapes.back());
         } else {
             gltf_build_parts(d, mesh_index, nullptr, &shapes.back());
@@ -132,11 +132,19 @@ struct scene_builder {
         return index;
     }
 
+    /* Where a mesh with a skin stands: its node's own transform has no effect. */
+    svo_mat4 skinned_place(uint32_t shape_index) const
+    {
+        uint32_t skin = rig_shapes[shape_index].skin;
+        return skin != SVO_NONE ? fmt_rig_place(rig, skin) : svo_mat4_identity();
+    }
+
     void add_instance(const std::string &name, uint32_t shape_index, const svo_mat4 &transform)
     {
         if (instances.size() >= UINT32_MAX - 1) svo_throw(SVO_LIMIT, "%s: more than 2^32 instances", d.path());
         instances.push_back(svo_instance{nullptr, shape_index, transform});
         instances.back().name = gltf_copy(d, name);
+        nodes.push_back(node_now);
     }
 
     /* EXT_mesh_gpu_instancing: one transform per element, below the node. */
@@ -189,13 +197,14 @@ struct scene_builder {
         for (int i : walk(scene_roots())) {
             const tinygltf::Node &n = d.model.nodes[static_cast<size_t>(i)];
             const svo_mat4 &w = world[static_cast<size_t>(i)];
+            node_now = static_cast<uint32_t>(i);
             if (n.camera >= 0) add_camera(n, w);
             if (n.mesh < 0) continue;
             if (!n.weights.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
             uint32_t s = shape(n.mesh, n.skin);
             auto x = n.extensions.find("EXT_mesh_gpu_instancing");
             if (x != n.extensions.end() && n.skin < 0) add_gpu_instances(n, w, s, x->second);
-            else add_instance(n.name, s, n.skin >= 0 ? svo_mat4_identity() : w);
+            else add_instance(n.name, s, n.skin >= 0 ? skinned_place(s) : w);
         }
     }
 
@@ -222,6 +231,9 @@ struct scene_builder {
         move(d, shapes, &mesh->shapes, &mesh->shape_count);
         move(d, instances, &mesh->instances, &mesh->instance_count);
         move(d, cameras, &mesh->cameras, &mesh->camera_count);
+        if (d.context->rig == nullptr) return;
+        move(d, rig_shapes, &rig->shapes, &rig->shape_count);
+        move(d, nodes, &rig->instance_node, &rig->instance_count);
     }
 };
 
