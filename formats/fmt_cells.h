@@ -35,10 +35,35 @@ typedef struct fmt_cell_face {
 /* Memory: 40 bytes a cell beside the faces. *out holds fmt_cell_face. */
 svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err);
 
+/* Corner k (0..3) of a face, counter-clockwise from outside (where the grid is right-handed). */
+void fmt_cell_corner(const fmt_cell_face *f, uint32_t k, uint32_t out[3]);
+
+/* Faces and where they are. */
+typedef struct fmt_cells_placed {
+    const fmt_cell_face *faces;
+    uint64_t count;
+    double to_world[16];
+} fmt_cells_placed;
 /* Quads with their corners in the world (double) and sRGB colours. Binary little-endian PLY. */
-svo_result fmt_cells_ply(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err);
-/* Triangles in grid coordinates, under a node whose matrix is to_world; COLOR_0 linear in 16 bits; unlit-friendly flat normals. A .glb has at most 4 GB. */
-svo_result fmt_cells_glb(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err);
+svo_result fmt_cells_placed_ply(const fmt_cells_placed *list, uint64_t placed, bool colored, fmt_output *out, svo_error *err);
+
+/* Triangles in grid coordinates, under nodes whose matrices lead to the world; COLOR_0 linear in 16 bits; flat normals. A .glb has at most 4 GB. */
+typedef struct fmt_cells_glb_report {
+    uint64_t faces, nodes;
+    uint64_t draco_bytes;  /* with Draco, all below: */
+    uint32_t bits;         /* of positions, at most */
+    double position_error; /* of a corner as it is decoded, in cells, at most */
+    double normal_error;   /* degrees */
+} fmt_cells_glb_report;
+typedef struct fmt_cells_glb fmt_cells_glb;
+/* draco: meshes by KHR_draco_mesh_compression, positions of `bits` bits (0: the fewest with an error of at most an eighth of a cell). */
+svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a, fmt_cells_glb **out, svo_error *err);
+/* The faces of cells, whose to_world is not used, as a mesh; *mesh is its number, UINT64_MAX when there are no faces. */
+svo_result fmt_cells_glb_mesh(fmt_cells_glb *g, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err);
+/* A place for a mesh. name and id (in the node's extras) may be NULL. */
+void fmt_cells_glb_node(fmt_cells_glb *g, uint64_t mesh, const double to_world[16], const char *name, const uint64_t *id);
+svo_result fmt_cells_glb_end(fmt_cells_glb *g, fmt_output *out, fmt_cells_glb_report *report, svo_error *err);
+void fmt_cells_glb_free(fmt_cells_glb *g);
 
 /* MagicaVoxel: models of at most 256^3, +Z up, centred over the origin. More than 255 colours are reduced (median cut, then five rounds of k-means, in CIE L*a*b*);
  * the differences are CIE94, graphic arts, as everywhere. */

@@ -1,10 +1,9 @@
-/* Faces of cells, merged, as PLY and as GLB. */
+/* Faces of cells, merged, and as PLY; as GLB in fmt_cells_glb.c. */
 #include <stdio.h>
 #include <string.h>
 
 #include "fmt_cells.h"
-#include "fmti_glb.h"
-#include "svo_channel.h"
+#include "fmt_container.h"
 
 /* --- faces --- */
 
@@ -135,129 +134,49 @@ static void corner(const fmt_cell_face *f, uint32_t k, uint32_t out[3])
 
 /* --- PLY --- */
 
-static svo_result write_ply(const fmt_cells *c, const fmt_cell_face *f, uint64_t count, fmt_output *out, svo_error *err)
+void fmt_cell_corner(const fmt_cell_face *f, uint32_t k, uint32_t out[3]) { corner(f, k, out); }
+
+static svo_result write_vertices(const fmt_cells_placed *p, bool colored, fmt_output *out, svo_error *err)
 {
-    char head[400];
-    const double *m = c->to_world;
-    double det = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
-    int n = snprintf(head, sizeof head, "ply\nformat binary_little_endian 1.0\ncomment faces of voxels\nelement vertex %llu\nproperty double x\nproperty double y\n"
-                     "property double z\n%selement face %llu\nproperty list uchar uint vertex_indices\nend_header\n", (unsigned long long)(4 * count),
-                     c->colored ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "", (unsigned long long)count);
-    SVO_TRY(fmt_output_write(out, head, (size_t)n, err));
-    for (uint64_t i = 0; i < count; i++) {
+    const double *m = p->to_world;
+    const double det = m[0] * (m[5] * m[10] - m[6] * m[9]) - m[1] * (m[4] * m[10] - m[6] * m[8]) + m[2] * (m[4] * m[9] - m[5] * m[8]);
+    for (uint64_t i = 0; i < p->count; i++) {
         uint8_t row[4 * 27];
         size_t at = 0;
         for (uint32_t k = 0; k < 4; k++) {
-            uint32_t p[3];
-            corner(&f[i], det < 0 ? 3 - k : k, p);
+            uint32_t c[3];
+            corner(&p->faces[i], det < 0 ? 3 - k : k, c);
             for (int r = 0; r < 3; r++, at += 8) {
-                double w = m[4 * r] * p[0] + m[4 * r + 1] * p[1] + m[4 * r + 2] * p[2] + m[4 * r + 3];
+                double w = m[4 * r] * c[0] + m[4 * r + 1] * c[1] + m[4 * r + 2] * c[2] + m[4 * r + 3];
                 memcpy(row + at, &w, 8);
             }
-            if (c->colored) {
-                memcpy(row + at, f[i].rgb, 3);
+            if (colored) {
+                memcpy(row + at, p->faces[i].rgb, 3);
                 at += 3;
             }
         }
         SVO_TRY(fmt_output_write(out, row, at, err));
     }
+    return SVO_OK;
+}
+
+svo_result fmt_cells_placed_ply(const fmt_cells_placed *list, uint64_t placed, bool colored, fmt_output *out, svo_error *err)
+{
+    char head[400];
+    uint64_t count = 0;
+    for (uint64_t i = 0; i < placed; i++) {
+        count += list[i].count;
+        if (count > UINT32_MAX / 4) return svo_fail(err, SVO_LIMIT, "more than 2^30 faces; export a coarser level");
+    }
+    int n = snprintf(head, sizeof head, "ply\nformat binary_little_endian 1.0\ncomment faces of voxels\nelement vertex %llu\nproperty double x\nproperty double y\n"
+                     "property double z\n%selement face %llu\nproperty list uchar uint vertex_indices\nend_header\n", (unsigned long long)(4 * count),
+                     colored ? "property uchar red\nproperty uchar green\nproperty uchar blue\n" : "", (unsigned long long)count);
+    SVO_TRY(fmt_output_write(out, head, (size_t)n, err));
+    for (uint64_t i = 0; i < placed; i++) SVO_TRY(write_vertices(&list[i], colored, out, err));
     for (uint64_t i = 0; i < count; i++) {
         uint8_t row[17] = {4};
         for (uint32_t k = 0; k < 4; k++) fmt_store32(row + 1 + 4 * k, (uint32_t)(4 * i + k));
         SVO_TRY(fmt_output_write(out, row, sizeof row, err));
     }
     return SVO_OK;
-}
-
-svo_result fmt_cells_ply(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err)
-{
-    svo_buffer list;
-    svo_buffer_init(&list, c->allocator);
-    svo_result r = fmt_cells_faces(c, &list, err);
-    *faces = list.size / sizeof(fmt_cell_face);
-    if (r == SVO_OK && *faces > UINT32_MAX / 4) r = svo_fail(err, SVO_LIMIT, "more than 2^30 faces; export a coarser level");
-    if (r == SVO_OK) r = write_ply(c, (const fmt_cell_face *)(const void *)list.data, *faces, out, err);
-    svo_buffer_free(&list);
-    return r;
-}
-
-/* --- GLB --- */
-
-static void fill_vertices(const fmt_cell_face *f, uint64_t count, uint8_t *position, uint8_t *normal, uint8_t *color, float low[3], float high[3])
-{
-    for (uint64_t i = 0; i < 4 * count; i++) {
-        const fmt_cell_face *q = &f[i / 4];
-        uint32_t p[3];
-        corner(q, i % 4, p);
-        for (int k = 0; k < 3; k++) {
-            float v = (float)p[k];
-            if (position != NULL) fmt_glb_put_f32(position + 12 * i + 4 * k, v);
-            if (normal != NULL) fmt_glb_put_f32(normal + 12 * i + 4 * k, k != q->axis ? 0 : q->up ? 1.0f : -1.0f);
-            if (color != NULL) {
-                uint32_t linear = (uint32_t)(svo_srgb_to_linear(q->rgb[k]) * 65535.0f + 0.5f);
-                color[8 * i + 2 * k] = (uint8_t)linear, color[8 * i + 2 * k + 1] = (uint8_t)(linear >> 8);
-            }
-            if (position != NULL && (i == 0 || v < low[k])) low[k] = v;
-            if (position != NULL && (i == 0 || v > high[k])) high[k] = v;
-        }
-        if (color != NULL) color[8 * i + 6] = color[8 * i + 7] = 255; /* alpha: rows must be multiples of 4 bytes */
-    }
-}
-
-static void put_mesh(fmt_glb *g, const fmt_cells *c, const fmt_cell_face *f, uint64_t count)
-{
-    uint64_t position = 0, normal = 0, color = 0, index = 0;
-    float low[3] = {0}, high[3] = {0};
-    uint8_t *p = fmt_glb_array(g, 4 * count, 12, GLB_F32, "VEC3", GLB_ARRAY_BUFFER, &position);
-    if (p == NULL) return;
-    fill_vertices(f, count, p, NULL, NULL, low, high);
-    fmt_glb_bounds(g, position, low, high, 3);
-    if ((p = fmt_glb_array(g, 4 * count, 12, GLB_F32, "VEC3", GLB_ARRAY_BUFFER, &normal)) == NULL) return;
-    fill_vertices(f, count, NULL, p, NULL, low, high);
-    json_t *attributes = json_pack("{s:I,s:I}", "POSITION", (json_int_t)position, "NORMAL", (json_int_t)normal);
-    if (c->colored) {
-        p = fmt_glb_array(g, 4 * count, 8, GLB_U16, "VEC4", GLB_ARRAY_BUFFER, &color);
-        if (p != NULL) {
-            fill_vertices(f, count, NULL, NULL, p, low, high);
-            json_object_set_new(json_array_get(g->accessors, color), "normalized", json_true());
-            json_object_set_new(attributes, "COLOR_0", json_integer((json_int_t)color));
-        }
-    }
-    p = g->failed ? NULL : fmt_glb_array(g, 6 * count, 4, GLB_U32, "SCALAR", GLB_ELEMENT_ARRAY_BUFFER, &index);
-    static const uint32_t order[6] = {0, 1, 2, 0, 2, 3};
-    for (uint64_t i = 0; p != NULL && i < 6 * count; i++) fmt_store32(p + 4 * i, (uint32_t)(4 * (i / 6)) + order[i % 6]);
-    json_object_set_new(g->root, "meshes", json_pack("[{s:[{s:o,s:I,s:i}]}]", "primitives", "attributes", attributes, "indices", (json_int_t)index, "material", 0));
-    json_object_set_new(g->root, "materials", json_pack("[{s:{s:i,s:i}}]", "pbrMetallicRoughness", "metallicFactor", 0, "roughnessFactor", 1));
-}
-
-static void put_nodes(fmt_glb *g, const fmt_cells *c, bool mesh)
-{
-    double column[16]; /* glTF's matrices are column-major */
-    for (int i = 0; i < 16; i++) column[i] = c->to_world[i % 4 * 4 + i / 4];
-    column[3] = column[7] = column[11] = 0, column[15] = 1;
-    json_t *node = json_pack("{s:s,s:o}", "name", "voxels", "matrix", fmt_glb_vector(column, 16));
-    if (mesh) json_object_set_new(node, "mesh", json_integer(0));
-    json_object_set_new(g->root, "nodes", json_pack("[o]", node));
-    json_object_set_new(g->root, "scenes", json_pack("[{s:[i]}]", "nodes", 0));
-    json_object_set_new(g->root, "scene", json_integer(0));
-}
-
-svo_result fmt_cells_glb(const fmt_cells *c, fmt_output *out, uint64_t *faces, svo_error *err)
-{
-    svo_buffer list;
-    svo_buffer_init(&list, c->allocator);
-    svo_result r = fmt_cells_faces(c, &list, err);
-    *faces = list.size / sizeof(fmt_cell_face);
-    if (r == SVO_OK && *faces > UINT32_MAX / 36) r = svo_fail(err, SVO_LIMIT, "%llu faces are more than a .glb file can hold (4 GB); export a coarser level", (unsigned long long)*faces);
-    if (r == SVO_OK && *faces == 0) r = svo_fail(err, SVO_UNSUPPORTED, "there are no voxels, and a .glb file cannot hold an empty mesh");
-    if (r == SVO_OK) {
-        fmt_glb g;
-        fmt_glb_begin(&g, c->allocator);
-        if (!g.failed) put_mesh(&g, c, (const fmt_cell_face *)(const void *)list.data, *faces);
-        if (!g.failed) put_nodes(&g, c, true);
-        r = fmt_glb_write(&g, out, err);
-        fmt_glb_end(&g);
-    }
-    svo_buffer_free(&list);
-    return r;
 }

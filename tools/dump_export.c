@@ -63,17 +63,66 @@ static svo_result take(void *user, const dump_cut_node *n, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result write(dump_job *j, format f, const fmt_cells *c, fmt_output *o, svo_error *err)
+static void tell_glb(dump_job *j, json_t *report, uint64_t voxels, const fmt_cells_glb_report *t)
+{
+    cli_put_u64(report, "faces", t->faces);
+    cli_put_u64(report, "nodes", t->nodes);
+    cli_info(j->c, "%s: %llu voxels, %llu faces", j->export.path, (unsigned long long)voxels, (unsigned long long)t->faces);
+    if (!j->export.has_draco) return;
+    cli_put_u64(report, "draco_bytes", t->draco_bytes);
+    cli_put_u64(report, "draco_bits", t->bits);
+    cli_put_f64(report, "draco_error_voxels", t->position_error);
+    cli_put_f64(report, "draco_error_normal_degrees", t->normal_error);
+    cli_info(j->c, "%s: Draco takes %llu bytes; with %u bits corners are at most %.3g voxels and normals %.3g degrees off", j->export.path, (unsigned long long)t->draco_bytes, t->bits,
+             t->position_error, t->normal_error);
+}
+
+static svo_result write_glb(dump_job *j, const fmt_cells *c, fmt_output *o, json_t *report, svo_error *err)
+{
+    fmt_cells_glb *g;
+    fmt_cells_glb_report told;
+    uint64_t mesh;
+    SVO_TRY(fmt_cells_glb_begin(j->export.has_draco, (uint32_t)j->export.draco, j->allocator, &g, err));
+    svo_result r = fmt_cells_glb_mesh(g, c, NULL, &mesh, err);
+    if (r == SVO_OK) {
+        fmt_cells_glb_node(g, mesh, c->to_world, "voxels", NULL);
+        r = fmt_cells_glb_end(g, o, &told, err);
+    }
+    if (r == SVO_OK) tell_glb(j, report, c->count, &told);
+    fmt_cells_glb_free(g);
+    return r;
+}
+
+static svo_result write_ply(dump_job *j, const fmt_cells *c, fmt_output *o, json_t *report, svo_error *err)
+{
+    svo_buffer list;
+    svo_buffer_init(&list, c->allocator);
+    svo_result r = fmt_cells_faces(c, &list, err);
+    fmt_cells_placed placed = {.faces = (const fmt_cell_face *)(const void *)list.data, .count = list.size / sizeof(fmt_cell_face)};
+    memcpy(placed.to_world, c->to_world, sizeof placed.to_world);
+    if (r == SVO_OK) r = fmt_cells_placed_ply(&placed, 1, c->colored, o, err);
+    cli_put_u64(report, "faces", placed.count);
+    if (r == SVO_OK) cli_info(j->c, "%s: %llu voxels, %llu faces", j->export.path, (unsigned long long)c->count, (unsigned long long)placed.count);
+    svo_buffer_free(&list);
+    return r;
+}
+
+static json_t *begin_report(dump_job *j, uint64_t voxels)
 {
     json_t *report = json_object();
     json_object_set_new(cli_section(j->c, "output"), "export", report);
-    cli_put_u64(report, "voxels", c->count);
-    uint64_t faces = 0;
+    cli_put_u64(report, "voxels", voxels);
+    return report;
+}
+
+static svo_result write(dump_job *j, format f, const fmt_cells *c, fmt_output *o, svo_error *err)
+{
+    json_t *report = begin_report(j, c->count);
     svo_result r = SVO_OK;
-    if (f == PLY || f == GLB) {
-        r = f == PLY ? fmt_cells_ply(c, o, &faces, err) : fmt_cells_glb(c, o, &faces, err);
-        cli_put_u64(report, "faces", faces);
-        if (r == SVO_OK) cli_info(j->c, "%s: %llu voxels, %llu faces", j->export.path, (unsigned long long)c->count, (unsigned long long)faces);
+    if (f == PLY) {
+        r = write_ply(j, c, o, report, err);
+    } else if (f == GLB) {
+        r = write_glb(j, c, o, report, err);
     } else if (f == VOX) {
         fmt_vox_report v;
         r = fmt_cells_vox(c, o, &v, err);
@@ -106,25 +155,171 @@ static svo_result read_box(const dump_export *ask, uint32_t side, gather *g, svo
     return SVO_OK;
 }
 
+/* The cells of an octree at a level, in the box that was asked for. Free g->list. */
+static svo_result gather_cells(dump_job *j, const svo_view *v, uint32_t depth, gather *g, fmt_cells *c, svo_error *err)
+{
+    const dump_export *ask = &j->export;
+    *g = (gather){.ask = ask, .level = v->tree_depth - (v->depth - depth), .color = svo_view_find_channel(v, "color")};
+    if (g->color != SVO_MAX_CHANNELS && v->channels[g->color].channel.kind != SVO_KIND_COLOR_SRGB8) g->color = SVO_MAX_CHANNELS;
+    svo_buffer_init(&g->list, j->allocator);
+    SVO_TRY(read_box(ask, 1u << depth, g, err));
+    SVO_TRY(dump_cut(v, g->level, take, g, err));
+    *c = (fmt_cells){.cell = (const fmt_cell *)(const void *)g->list.data, .count = g->list.size / sizeof(fmt_cell), .colored = g->color != SVO_MAX_CHANNELS, .allocator = j->allocator};
+    for (int i = 0; i < 16; i++) c->to_world[i] = v->voxel_to_world[i] * (i % 4 < 3 && i < 12 ? ldexp(1, (int)(v->depth - depth)) : 1);
+    return SVO_OK;
+}
+
 static svo_result export_view(dump_job *j, const svo_view *v, format f, fmt_output *o, svo_error *err)
 {
     const dump_export *ask = &j->export;
     uint32_t depth = ask->has_level ? (uint32_t)ask->level : v->depth;
     if (depth > v->depth) return svo_fail(err, SVO_INVALID_ARGUMENT, "--level %u: the finest level of this file is %u", depth, v->depth);
-    gather g = {.ask = ask, .level = v->tree_depth - (v->depth - depth), .color = svo_view_find_channel(v, "color")};
-    if (g.color != SVO_MAX_CHANNELS && v->channels[g.color].channel.kind != SVO_KIND_COLOR_SRGB8) g.color = SVO_MAX_CHANNELS;
-    svo_buffer_init(&g.list, j->allocator);
-    svo_result r = read_box(ask, 1u << depth, &g, err);
-    if (r == SVO_OK) r = dump_cut(v, g.level, take, &g, err);
+    gather g;
+    fmt_cells c;
+    svo_result r = gather_cells(j, v, depth, &g, &c, err);
     if (r == SVO_OK) {
-        fmt_cells c = {.cell = (const fmt_cell *)(const void *)g.list.data, .count = g.list.size / sizeof(fmt_cell), .colored = g.color != SVO_MAX_CHANNELS,
-                       .allocator = j->allocator};
         bool whole = f == NRRD || f == RAW ? ask->has_low || ask->has_high || !g.any : !g.any; /* dense: the box that was asked for, else that of the voxels */
         for (int k = 0; k < 3; k++) c.low[k] = whole ? g.low[k] : g.box_low[k], c.high[k] = whole ? g.high[k] : g.box_high[k];
-        for (int i = 0; i < 16; i++) c.to_world[i] = v->voxel_to_world[i] * (i % 4 < 3 && i < 12 ? ldexp(1, (int)(v->depth - depth)) : 1);
         r = write(j, f, &c, o, err);
     }
     svo_buffer_free(&g.list);
+    return r;
+}
+
+/* --- scenes --- */
+
+enum { MOST_NODES = 1 << 18 }; /* of a .glb: its JSON is held in memory, and viewers read it so */
+
+/* Visit every instance: its map from the cells of its asset, as exported, to the scene. */
+typedef svo_result (*place_fn)(void *user, uint64_t instance, const double to_scene[16], svo_error *err);
+static svo_result each_instance(const svo_scene *s, const double (*to_mesh)[16], place_fn fn, void *user, svo_error *err)
+{
+    for (uint32_t page = 0; page < s->page_count; page++)
+        for (uint64_t i = s->pages[page].first; i < s->pages[page].first + s->pages[page].count; i++) {
+            svo_mat4 grid;
+            memcpy(grid.m, to_mesh[s->instance_asset[i]], sizeof grid.m);
+            const svo_mat4 m = svo_mat4_mul(svo_scene_instance_transform(s, page, i), grid);
+            SVO_TRY(fn(user, i, m.m, err));
+        }
+    return SVO_OK;
+}
+
+typedef struct scene_job {
+    dump_job *j;
+    const svo_scene *s;
+    double (*to_mesh)[16]; /* of each asset */
+    uint64_t voxels;       /* of all assets */
+    bool colored;          /* any of them */
+    fmt_cells_glb *glb;
+    uint64_t *meshes;
+    uint64_t sheared;
+    svo_buffer *faces; /* of each asset, for .ply */
+    svo_buffer placed;
+} scene_job;
+
+/* glTF wants matrices without shear. */
+static bool is_sheared(const double m[16])
+{
+    for (int a = 0; a < 3; a++) {
+        const int b = (a + 1) % 3;
+        const svo_vec3 p = svo_v3(m[a], m[4 + a], m[8 + a]), q = svo_v3(m[b], m[4 + b], m[8 + b]);
+        if (fabs(svo_dot(svo_normalize(p), svo_normalize(q))) > 1e-5) return true;
+    }
+    return false;
+}
+
+static svo_result place_node(void *user, uint64_t i, const double to_scene[16], svo_error *err)
+{
+    scene_job *k = user;
+    (void)err;
+    k->sheared += is_sheared(to_scene);
+    fmt_cells_glb_node(k->glb, k->meshes[k->s->instance_asset[i]], to_scene, svo_scene_instance_name(k->s, i), &k->s->instance_id[i]);
+    return SVO_OK;
+}
+
+static svo_result place_faces(void *user, uint64_t i, const double to_scene[16], svo_error *err)
+{
+    scene_job *k = user;
+    const svo_buffer *faces = &k->faces[k->s->instance_asset[i]];
+    fmt_cells_placed p = {.faces = (const fmt_cell_face *)(const void *)faces->data, .count = faces->size / sizeof(fmt_cell_face)};
+    memcpy(p.to_world, to_scene, sizeof p.to_world);
+    return svo_buffer_append(&k->placed, &p, sizeof p) != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the instances");
+}
+
+/* The mesh of each asset, once. */
+static svo_result prepare_assets(scene_job *k, format f, svo_error *err)
+{
+    const dump_export *ask = &k->j->export;
+    for (uint32_t i = 0; i < k->s->asset_count; i++) {
+        const svo_view *v = k->s->assets[i];
+        gather g;
+        fmt_cells c;
+        svo_result r = gather_cells(k->j, v, ask->has_level && ask->level < v->depth ? (uint32_t)ask->level : v->depth, &g, &c, err);
+        if (r == SVO_OK) {
+            memcpy(k->to_mesh[i], c.to_world, sizeof c.to_world);
+            k->voxels += c.count;
+            k->colored |= c.colored;
+            r = f == GLB ? fmt_cells_glb_mesh(k->glb, &c, k->s->asset_names[i], &k->meshes[i], err) : fmt_cells_faces(&c, &k->faces[i], err);
+        }
+        svo_buffer_free(&g.list);
+        SVO_TRY(r);
+    }
+    return SVO_OK;
+}
+
+static svo_result write_scene(scene_job *k, format f, fmt_output *o, svo_error *err)
+{
+    const svo_scene *s = k->s;
+    uint64_t posed = 0;
+    for (uint64_t i = 0; i < s->instance_count; i++) posed += svo_scene_instance_pose(s, i) != NULL;
+    if (posed != 0)
+        svo_warn(&k->j->c->warnings, "%.100s: %llu instances have a pose; they are exported as they are without it (svo-render --resample --save-svo makes voxels of one)", k->j->path, (unsigned long long)posed);
+    SVO_TRY(prepare_assets(k, f, err));
+    json_t *report = begin_report(k->j, k->voxels);
+    cli_put_u64(report, "instances", s->instance_count);
+    cli_put_u64(report, "poses_left_out", posed);
+    if (f == PLY) {
+        SVO_TRY(each_instance(s, (const double (*)[16])k->to_mesh, place_faces, k, err));
+        const fmt_cells_placed *list = (const fmt_cells_placed *)(const void *)k->placed.data;
+        const uint64_t count = k->placed.size / sizeof *list;
+        uint64_t faces = 0;
+        SVO_TRY(fmt_cells_placed_ply(list, count, k->colored, o, err));
+        for (uint64_t i = 0; i < count; i++) faces += list[i].count;
+        cli_put_u64(report, "faces", faces);
+        cli_info(k->j->c, "%s: %llu instances, %llu faces", k->j->export.path, (unsigned long long)count, (unsigned long long)faces);
+        return SVO_OK;
+    }
+    fmt_cells_glb_report told;
+    SVO_TRY(each_instance(s, (const double (*)[16])k->to_mesh, place_node, k, err));
+    SVO_TRY(fmt_cells_glb_end(k->glb, o, &told, err));
+    if (k->sheared != 0) svo_warn(&k->j->c->warnings, "%.100s: %llu instances are sheared, which glTF has no words for; their nodes have the matrix all the same, as most viewers take it", k->j->path, (unsigned long long)k->sheared);
+    tell_glb(k->j, report, k->voxels, &told);
+    return SVO_OK;
+}
+
+static svo_result export_scene(dump_job *j, const svo_scene *s, format f, fmt_output *o, svo_error *err)
+{
+    const dump_export *ask = &j->export;
+    if (f != GLB && f != PLY) return svo_fail(err, SVO_UNSUPPORTED, "a scene is exported as .glb or .ply; %s takes one octree: export the assets one by one, or the voxels with --voxels", endings[f]);
+    if (ask->has_low || ask->has_high) return svo_fail(err, SVO_INVALID_ARGUMENT, "--low and --high are for one octree, not for scenes");
+    if (f == GLB && s->instance_count > MOST_NODES)
+        return svo_fail(err, SVO_LIMIT, "%llu instances are more nodes than a .glb is good for (%d)", (unsigned long long)s->instance_count, MOST_NODES);
+    scene_job k = {.j = j, .s = s};
+    const uint64_t n = s->asset_count;
+    svo_buffer_init(&k.placed, j->allocator);
+    k.to_mesh = svo_calloc(j->allocator, n, sizeof *k.to_mesh);
+    k.meshes = svo_calloc(j->allocator, n, sizeof *k.meshes);
+    k.faces = svo_calloc(j->allocator, n, sizeof *k.faces);
+    svo_result r = n == 0 || (k.to_mesh != NULL && k.meshes != NULL && k.faces != NULL) ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the assets");
+    for (uint64_t i = 0; i < n && k.faces != NULL; i++) svo_buffer_init(&k.faces[i], j->allocator);
+    if (r == SVO_OK && f == GLB) r = fmt_cells_glb_begin(ask->has_draco, (uint32_t)ask->draco, j->allocator, &k.glb, err);
+    if (r == SVO_OK) r = write_scene(&k, f, o, err);
+    fmt_cells_glb_free(k.glb);
+    for (uint64_t i = 0; i < n && k.faces != NULL; i++) svo_buffer_free(&k.faces[i]);
+    svo_buffer_free(&k.placed);
+    svo_free(j->allocator, k.faces, n, sizeof *k.faces);
+    svo_free(j->allocator, k.meshes, n, sizeof *k.meshes);
+    svo_free(j->allocator, k.to_mesh, n, sizeof *k.to_mesh);
     return r;
 }
 
@@ -132,6 +327,7 @@ svo_result dump_export_file(dump_job *j, svo_error *err)
 {
     format f = format_of(j->export.path);
     if (f == UNKNOWN) return svo_fail(err, SVO_INVALID_ARGUMENT, "%s: --export writes .ply (mesh), .glb, .vox, .nrrd, .raw, .vdb or .nvdb", j->export.path);
+    if (f != GLB && j->export.has_draco) return svo_fail(err, SVO_INVALID_ARGUMENT, "--draco is for .glb files");
     if ((f == VDB && !fmt_have_vdb()) || (f == NVDB && !fmt_have_nvdb()))
         return svo_fail(err, SVO_NOT_BUILT, "%s: this build cannot write %s files, because the library (libopenvdb-dev, libnanovdb-dev) was not there when it was made", j->export.path, endings[f]);
     cli_scene s;
@@ -139,7 +335,7 @@ svo_result dump_export_file(dump_job *j, svo_error *err)
     SVO_TRY(fmt_output_open(j->export.path, j->c->force, &o, err));
     svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, NULL, &s, err);
     if (r == SVO_OK) {
-        if (strcmp(s.kind, "svscene") == 0) r = svo_fail(err, SVO_UNSUPPORTED, "--export takes one octree; export the scene's assets one by one, or write its voxels with --voxels");
+        if (strcmp(s.kind, "svscene") == 0) r = export_scene(j, s.scene, f, o, err);
         else if (s.scene->asset_count == 0) r = svo_fail(err, SVO_RUNTIME, "the file has no octree");
         else r = export_view(j, s.scene->assets[0], f, o, err);
         cli_scene_close(&s);

@@ -140,13 +140,15 @@ int main(int argc, char **argv)
         {.name = "export", .kind = CLI_TEXT, .value = &o.export.path, .argument = "OUT", .no_default = true, .group = "Export",
          .help = "Write the voxels for other programs, by the ending of OUT: .ply or .glb (mesh of their faces), .vox, .nrrd, .raw, .vdb, .nvdb."},
         {.name = "level", .kind = CLI_U64, .value = &o.export.level, .argument = "L", .max = SVO_MAX_DEPTH, .seen = &o.export.has_level, .no_default = true, .group = "Export",
-         .help = "Export the nodes of this level as voxels instead of the finest ones."},
+         .help = "Export the nodes of this level as voxels instead of the finest ones; of a scene, of each asset that is deeper."},
         {.name = "low", .kind = CLI_VEC3, .value = o.export.low, .argument = "x,y,z", .seen = &o.export.has_low, .no_default = true, .group = "Export",
          .help = "First cell of the box to export, in cells of the exported level."},
         {.name = "high", .kind = CLI_VEC3, .value = o.export.high, .argument = "x,y,z", .seen = &o.export.has_high, .no_default = true, .group = "Export",
          .help = "Last cell of the box to export."},
         {.name = "volume", .kind = CLI_CHOICE, .value = &o.volume, .argument = "WHAT", .choices = volumes, .group = "Export",
          .help = "What a cell of a .nrrd or .raw volume is: a byte (255 in voxels), or red, green, blue and 255."},
+        {.name = "draco", .kind = CLI_U64, .value = &o.export.draco, .argument = "BITS", .max = 24, .seen = &o.export.has_draco, .no_default = true, .group = "Export",
+         .help = "Compress the meshes of a .glb (KHR_draco_mesh_compression), positions with this many bits; 0: the fewest with an error of at most an eighth of a voxel."},
         {.name = "html", .kind = CLI_TEXT, .value = &o.html, .argument = "OUT.html", .no_default = true,
          .help = "Write one page that draws the octree or scene in a browser (WebGL 2), without a server or network; - is stdout."},
         {.name = "html-size", .kind = CLI_SIZE, .value = &o.html_size, .argument = "SIZE", .min = 1 << 17, .max = 1u << 30,
@@ -175,7 +177,8 @@ int main(int argc, char **argv)
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
-    if (o.export.path == NULL && (o.export.has_level || o.export.has_low || o.export.has_high || o.volume != 0)) return cli_usage(&c, "--level, --low, --high and --volume need --export");
+    if (o.export.path == NULL && (o.export.has_level || o.export.has_low || o.export.has_high || o.export.has_draco || o.volume != 0))
+        return cli_usage(&c, "--level, --low, --high, --draco and --volume need --export");
     if (o.export.path != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--export takes one FILE and excludes --validate");
     if (o.html != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--html takes one FILE and excludes --validate");
     if (o.html != NULL && strcmp(o.html, "-") == 0 && (o.json || (o.voxels != NULL && strcmp(o.voxels, "-") == 0)))
