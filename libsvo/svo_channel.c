@@ -19,27 +19,39 @@ uint32_t svo_channel_stride(uint32_t kind)
  * that encoding needs no transcendental function and is the same on every machine. Generated from the definition:
  * c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055)^2.4, rounded to float. */
 #include "svo_srgb_table.inc"
-#include "svo_srgb_bucket.inc"
+#include "svo_srgb_step.inc"
 
 float svo_srgb_to_linear(uint8_t v) { return svoi_srgb_linear[v]; }
 
-static inline uint8_t encode_srgb(float v)
+/* The bits of what is encoded: between the first threshold and the last. */
+static inline uint32_t srgb_bits(float v)
 {
-    /* the answer: number of thresholds that are <= v. Without branches: colours are all over the place */
     const float least = 0x1p-13f, most = 0x1.fffffep-1f; /* below the first threshold; above the last */
     v = v >= least ? v : least; /* NaN too */
     v = v < most ? v : most;
     uint32_t bits;
     memcpy(&bits, &v, sizeof bits);
-    const uint32_t guess = svoi_srgb_bucket[(bits >> 16) - 0x3900], at = guess < 255 ? guess : 254;
-    return (uint8_t)(guess + (guess < 255 && svoi_srgb_threshold[at] <= v));
+    return bits;
 }
 
-uint8_t svo_linear_to_srgb(float v) { return encode_srgb(v); }
+/* The number of thresholds that are not above. Without branches: colours are all over the place. */
+static inline uint8_t encode_srgb(uint32_t bits)
+{
+    const uint32_t step = svoi_srgb_step[(bits >> 16) - 0x3900];
+    return (uint8_t)((step >> 17) + ((bits & 0xffff) >= (step & 0x1ffff)));
+}
+
+uint8_t svo_linear_to_srgb(float v) { return encode_srgb(srgb_bits(v)); }
 
 void svoi_linear_to_srgb(const float *v, uint64_t count, uint8_t *out)
 {
-    for (uint64_t i = 0; i < count; i++) out[i] = encode_srgb(v[i]);
+    enum { AT_A_TIME = 64 };
+    uint32_t bits[AT_A_TIME]; /* the first loop becomes vector code, the other one cannot */
+    for (uint64_t done = 0; done < count; done += AT_A_TIME) {
+        const uint64_t n = count - done < AT_A_TIME ? count - done : AT_A_TIME;
+        for (uint64_t i = 0; i < n; i++) bits[i] = srgb_bits(v[done + i]);
+        for (uint64_t i = 0; i < n; i++) out[done + i] = encode_srgb(bits[i]);
+    }
 }
 
 static int16_t load16(const uint8_t *p) { return (int16_t)(uint16_t)(p[0] | p[1] << 8); }

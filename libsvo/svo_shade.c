@@ -101,6 +101,35 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
     return SVO_OK;
 }
 
+typedef struct expand_job { svo_shader *s; const uint8_t *wanted; } expand_job;
+static svo_result expand_pyramids(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    expand_job *job = user;
+    for (uint64_t i = begin; i < end; i++)
+        if (job->wanted[i]) svo_pyramid_expand(&job->s->pyramids[i]);
+    return SVO_OK;
+}
+
+void svo_shader_expand(svo_shader *s, uint64_t bytes, uint32_t threads)
+{
+    const uint64_t pyramids = (uint64_t)s->image_count * 3;
+    uint8_t *wanted = svo_calloc(s->allocator, pyramids, 1);
+    if (wanted == NULL) return;
+    for (uint64_t i = 0; i < pyramids; i++) {
+        const svo_pyramid *p = &s->pyramids[i];
+        if (p->levels == 0 || p->kind != SVO_TEXEL_COLOR) continue;
+        const uint64_t need = 8 * (uint64_t)p->width[0] * p->height[0];
+        if (need > bytes) continue;
+        bytes -= need;
+        wanted[i] = 1;
+    }
+    expand_job job = {s, wanted};
+    svo_parallel_for(threads, pyramids, 1, expand_pyramids, &job, NULL);
+    svo_free(s->allocator, wanted, pyramids, 1);
+}
+
 svo_result svo_shader_rebind(svo_shader *s, const svo_placement *p, svo_error *err)
 {
     const svo_mesh *mesh = p->mesh;

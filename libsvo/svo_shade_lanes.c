@@ -19,7 +19,7 @@ static inline uint32_t compact(uint32_t x)
 
 static uint32_t rounded(uint32_t count) { return (count + 7) & ~7u; }
 
-static void place(const svo_facet *t, svoi_lanes *l)
+void svoi_lanes_place(const svo_facet *t, svoi_lanes *l)
 {
     const uint32_t n = rounded(l->count), x = (t->axis + 1) % 3, y = (t->axis + 2) % 3, z = t->axis;
     for (uint32_t i = l->count; i < n; i++) l->code[i] = l->code[0];
@@ -46,7 +46,7 @@ static void uncut(const svo_facet *t, svoi_lanes *l)
 
 void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l)
 {
-    place(t, l);
+    svoi_lanes_place(t, l);
     if (t->inside || !t->clips) uncut(t, l);
     else svoi_clip_areas(&t->clipper, &l->clip, l->count);
 }
@@ -272,7 +272,7 @@ void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l)
     const shade_material *m = svoi_material_of(s, t->material);
     const svo_shade_layout *layout = &s->layout;
     const uint32_t n = rounded(l->count);
-    place(t, l);
+    svoi_lanes_place(t, l);
     if (t->inside || !t->clips) uncut(t, l);
     else if (needs_moments(m, t)) svoi_clip(&t->clipper, &l->clip, l->count, true);
     else {

@@ -11,11 +11,11 @@ enum { MOST = 128, ACROSS = 4 }; /* readings of a footprint, and across its shor
 /* Footprints in texels of the image: variances along the long and the short axis, the direction of the long one. */
 typedef struct footprints { float large[SVOI_LANES], small[SVOI_LANES], x[SVOI_LANES], y[SVOI_LANES]; } footprints;
 
-static void measure(const svo_facet_texture *f, const svoi_clip_batch *b, uint32_t count, footprints *out)
+static void measure(const svo_facet_texture *f, const float *moment_xx, const float *moment_xy, const float *moment_yy, uint32_t count, footprints *out)
 {
     const float ax = (float)f->per_x[0], ay = (float)f->per_y[0], bx = (float)f->per_x[1], by = (float)f->per_y[1];
     for (uint32_t i = 0; i < count; i++) {
-        const float xx = b->xx[i], xy = b->xy[i], yy = b->yy[i];
+        const float xx = moment_xx[i], xy = moment_xy[i], yy = moment_yy[i];
         const float uu = ax * ax * xx + 2 * ax * ay * xy + ay * ay * yy, vv = bx * bx * xx + 2 * bx * by * xy + by * by * yy;
         const float uv = ax * bx * xx + (ax * by + ay * bx) * xy + ay * by * yy;
         const float middle = 0.5f * (uu + vv), half = 0.5f * (uu - vv), root = sqrtf(half * half + uv * uv), large = middle + root, small = middle - root;
@@ -34,8 +34,7 @@ static inline uint32_t taps_for(float width, uint32_t most)
     return n < 2 ? 2 : n < most ? n : most;
 }
 
-/* How a footprint is read: level, counts of readings, and steps between them in texels of the level. */
-typedef struct plan { uint32_t level, along, across; float step[2], side[2]; } plan;
+typedef svoi_tap_plan plan;
 
 static inline float spacing(float rest, uint32_t count) { return count > 1 && rest > 0 ? sqrtf(12 * rest / (float)(count * count - 1)) : 0; }
 
@@ -59,10 +58,10 @@ typedef float pair __attribute__((vector_size(32)));
 typedef uint16_t stored_pair __attribute__((vector_size(16)));
 typedef int32_t whole_pair __attribute__((vector_size(32)));
 
-/* Two neighbours in a row. Above the image, and for linear images, not yet divided by what they are stored with. */
+/* Two neighbours in a row. Not yet divided by what they are stored with (unit). */
 static inline void load_pair(const svo_pyramid *p, uint32_t level, uint64_t at, pair *out)
 {
-    if (level != 0) {
+    if (p->texels[level] != NULL) {
         stored_pair t;
         memcpy(&t, p->texels[level] + 4 * at, sizeof t);
         *out = __builtin_convertvector(__builtin_convertvector(t, whole_pair), pair);
@@ -71,13 +70,19 @@ static inline void load_pair(const svo_pyramid *p, uint32_t level, uint64_t at, 
     const uint8_t *t = p->image->pixels + 4 * at;
     const float *linear = p->linear;
     if (p->kind == SVO_TEXEL_COLOR) {
-        *out = (pair){linear[t[0]], linear[t[1]], linear[t[2]], 1, linear[t[4]], linear[t[5]], linear[t[6]], 1};
+        const float *stored = p->stored;
+        *out = (pair){stored[t[0]], stored[t[1]], stored[t[2]], 65535, stored[t[4]], stored[t[5]], stored[t[6]], 65535};
     } else if (p->kind == SVO_TEXEL_LINEAR) {
         *out = (pair){t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]};
     } else {
         const float a = t[3] * (1.0f / 255), b = t[7] * (1.0f / 255);
         *out = (pair){linear[t[0]] * a, linear[t[1]] * a, linear[t[2]] * a, a, linear[t[4]] * b, linear[t[5]] * b, linear[t[6]] * b, b};
     }
+}
+
+static inline float unit(const svo_pyramid *p, uint32_t level)
+{
+    return level != 0 || p->kind == SVO_TEXEL_COLOR ? 1.0f / 65535 : p->kind == SVO_TEXEL_LINEAR ? 1.0f / 255 : 1;
 }
 
 /* Two rows of two texels where the image is not all in memory. */
@@ -118,7 +123,7 @@ static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, con
             upper += (lower - upper) * fy;
             sum += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
         }
-    const float scale = (n->level != 0 ? 1.0f / 65535 : p->kind == SVO_TEXEL_LINEAR ? 1.0f / 255 : 1) / (float)(n->along * n->across);
+    const float scale = unit(p, n->level) / (float)(n->along * n->across);
     for (int k = 0; k < 4; k++) out[k] = (sum[k] + sum[k + 4]) * scale;
     return true;
 }
@@ -126,7 +131,7 @@ static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, con
 void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES])
 {
     footprints prints;
-    measure(f, &l->clip, l->count, &prints);
+    measure(f, l->clip.xx, l->clip.xy, l->clip.yy, l->count, &prints);
     for (uint32_t i = 0; i < l->count; i++) {
         const double at[2] = {l->at[0][i], l->at[1][i]}, width = 1.0 / p->width[0], height = 1.0 / p->height[0];
         float texel[4];
@@ -145,5 +150,238 @@ void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, co
             for (int c = 0; c < 4; c++) texel[c] = sum[c] / (float)(n.along * n.across);
         }
         for (int c = 0; c < 4; c++) out[c][i] = texel[c];
+    }
+}
+
+/* --- voxels that no edge reaches ---------------------------------------------------------------------------------- */
+
+void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svoi_inner *inner, svoi_inner_texture *out)
+{
+    footprints prints;
+    measure(f, inner->xx, inner->xy, inner->yy, inner->steps, &prints);
+    for (uint32_t k = 0; k < inner->steps; k++) {
+        plan *n = &out->plan[k];
+        *n = (plan){.along = 1, .across = 1};
+        if (prints.large[k] > 0.03f) make_plan(p, &prints, k, n);
+        uint32_t same = 0;
+        while (out->plan[same].level != n->level || out->plan[same].along != n->along || out->plan[same].across != n->across) same++;
+        out->shape[k] = (uint8_t)same;
+    }
+}
+
+/* Lanes that are read alike, one after the other: where, and with which steps. */
+typedef struct tap_lanes {
+    uint32_t count;
+    uint8_t lane[SVOI_LANES];
+    float x[SVOI_LANES], y[SVOI_LANES]; /* first reading, in texels of the level, 0 at the middle of the first */
+    float step_x[SVOI_LANES], step_y[SVOI_LANES], side_x[SVOI_LANES], side_y[SVOI_LANES];
+    uint32_t texel[SVOI_LANES];
+    float fx[SVOI_LANES], fy[SVOI_LANES];
+    pair sum[SVOI_LANES];
+} tap_lanes;
+
+/* Two texels of one level, wherever they are: as load_pair gives them. */
+static void load_two(const svo_pyramid *p, uint32_t level, uint64_t left, uint64_t right, pair *out)
+{
+    const uint32_t w = p->width[level];
+    const uint64_t at[2] = {left, right};
+    float t[8];
+    for (int k = 0; k < 2; k++) {
+        if (p->outside && level == 0) svo_image_touch(p->image, (uint32_t)(at[k] % w), (uint32_t)(at[k] / w), 1);
+        if (p->outside && level != 0) svo_paged_touch(p->paged, p->texels[level] + 4 * at[k], 8);
+        if (p->texels[level] != NULL) {
+            const uint16_t *from = p->texels[level] + 4 * at[k];
+            for (int c = 0; c < 4; c++) t[4 * k + c] = (float)from[c];
+            continue;
+        }
+        const uint8_t *from = p->image->pixels + 4 * at[k];
+        const float alpha = p->kind == SVO_TEXEL_COLOR ? 65535 : p->kind == SVO_TEXEL_LINEAR ? (float)from[3] : from[3] * (1.0f / 255);
+        for (int c = 0; c < 3; c++)
+            t[4 * k + c] = p->kind == SVO_TEXEL_COLOR ? p->stored[from[c]] : p->kind == SVO_TEXEL_LINEAR ? (float)from[c] : p->linear[from[c]] * alpha;
+        t[4 * k + 3] = alpha;
+    }
+    memcpy(out, t, sizeof t);
+}
+
+static inline int32_t around(int32_t i, int32_t n) { return i < 0 ? i + n : i >= n ? i - n : i; }
+
+/* Readings of one lane that may reach over the edge of a texture that repeats. Less than a period away. */
+static void mean_around(const svo_pyramid *p, const plan *n, float x0, float y0, pair *sum)
+{
+    const int32_t w = (int32_t)p->width[n->level], h = (int32_t)p->height[n->level];
+    for (uint32_t i = 0; i < n->along; i++)
+        for (uint32_t j = 0; j < n->across; j++) {
+            const float x = x0 + ((float)i * n->step[0] + (float)j * n->side[0]), y = y0 + ((float)i * n->step[1] + (float)j * n->side[1]);
+            const float bx = floorf(x), by = floorf(y), fx = x - bx, fy = y - by, rx = 1 - fx;
+            const int32_t ix = around((int32_t)bx, w), iy = around((int32_t)by, h), next_x = ix + 1 < w ? ix + 1 : 0, next_y = iy + 1 < h ? iy + 1 : 0;
+            const uint64_t upper = (uint64_t)(uint32_t)iy * (uint32_t)w, lower = (uint64_t)(uint32_t)next_y * (uint32_t)w;
+            pair top, bottom;
+            load_two(p, n->level, upper + (uint32_t)ix, upper + (uint32_t)next_x, &top);
+            load_two(p, n->level, lower + (uint32_t)ix, lower + (uint32_t)next_x, &bottom);
+            top += (bottom - top) * fy;
+            *sum += top * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
+        }
+}
+
+static void read_taps(const svo_pyramid *p, const plan *n, tap_lanes *t)
+{
+    const uint32_t w = p->width[n->level], count = t->count, filled = (count + 7) & ~7u;
+    for (uint32_t i = 0; i < n->along; i++)
+        for (uint32_t j = 0; j < n->across; j++) {
+            for (uint32_t k = 0; k < filled; k++) {
+                const float x = t->x[k] + ((float)i * t->step_x[k] + (float)j * t->side_x[k]), y = t->y[k] + ((float)i * t->step_y[k] + (float)j * t->side_y[k]);
+                const int32_t ix = (int32_t)x, iy = (int32_t)y; /* neither is negative */
+                t->fx[k] = x - (float)ix;
+                t->fy[k] = y - (float)iy;
+                t->texel[k] = (uint32_t)iy * w + (uint32_t)ix;
+            }
+            for (uint32_t k = 0; p->outside && k < count; k++) touch(p, n->level, t->texel[k]);
+            for (uint32_t k = 0; k < count; k++) {
+                const float fx = t->fx[k], rx = 1 - fx;
+                pair upper, lower;
+                load_pair(p, n->level, t->texel[k], &upper);
+                load_pair(p, n->level, (uint64_t)t->texel[k] + w, &lower);
+                upper += (lower - upper) * t->fy[k];
+                t->sum[k] += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
+            }
+        }
+}
+
+/* The mean of readings where one of them may reach over the edge. */
+static void read_edge(const svo_texture *how, const svo_pyramid *p, const plan *n, float x0, float y0, bool near, float out[4])
+{
+    const uint32_t w = p->width[n->level], h = p->height[n->level];
+    const float scale = unit(p, n->level) / (float)(n->along * n->across);
+    if (near && how->wrap_u == SVO_WRAP_REPEAT && how->wrap_v == SVO_WRAP_REPEAT) {
+        pair sum = {0};
+        mean_around(p, n, x0, y0, &sum);
+        for (int c = 0; c < 4; c++) out[c] = (sum[c] + sum[c + 4]) * scale;
+        return;
+    }
+    float sum[4] = {0, 0, 0, 0}, texel[4];
+    for (uint32_t i = 0; i < n->along; i++)
+        for (uint32_t j = 0; j < n->across; j++) {
+            const float x = x0 + ((float)i * n->step[0] + (float)j * n->side[0]), y = y0 + ((float)i * n->step[1] + (float)j * n->side[1]);
+            svo_pyramid_sample(p, how, (double)(x + 0.5f) / w, (double)(y + 0.5f) / h, n->level, texel);
+            for (int c = 0; c < 4; c++) sum[c] += texel[c];
+        }
+    for (int c = 0; c < 4; c++) out[c] = sum[c] / (float)(n->along * n->across);
+}
+
+typedef float quad __attribute__((vector_size(16)));
+
+/* Means to one array a component. Sums behind the last are read, and do not matter. */
+static void store_means(const tap_lanes *t, float scale, float (*out)[SVOI_LANES])
+{
+    for (uint32_t i = 0; i < t->count; i += 4) {
+        quad a[4];
+        for (uint32_t k = 0; k < 4; k++) {
+            quad low, high;
+            memcpy(&low, &t->sum[i + k], sizeof low);
+            memcpy(&high, (const float *)&t->sum[i + k] + 4, sizeof high);
+            a[k] = (low + high) * scale;
+        }
+        const quad r = {a[0][0], a[1][0], a[2][0], a[3][0]}, g = {a[0][1], a[1][1], a[2][1], a[3][1]}, b = {a[0][2], a[1][2], a[2][2], a[3][2]}, w = {a[0][3], a[1][3], a[2][3], a[3][3]};
+        memcpy(&out[0][i], &r, sizeof r);
+        memcpy(&out[1][i], &g, sizeof g);
+        memcpy(&out[2][i], &b, sizeof b);
+        memcpy(&out[3][i], &w, sizeof w);
+    }
+}
+
+/* Where the middles of footprints are, in texels of a level, 0 at the middle of the first one. */
+static void find_middles(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, uint32_t level, float *restrict cx, float *restrict cy)
+{
+    const float width = (float)p->width[level], height = (float)p->height[level], per_u = 1 / (float)p->width[0], per_v = 1 / (float)p->height[0];
+    const float u0 = f->at[0], ux = f->per_x[0], uy = f->per_y[0], v0 = f->at[1], vx = f->per_x[1], vy = f->per_y[1];
+    const float repeat_u = how->wrap_u == SVO_WRAP_REPEAT ? 1 : 0, repeat_v = how->wrap_v == SVO_WRAP_REPEAT ? 1 : 0;
+    for (uint32_t i = 0, n = (l->count + 7) & ~7u; i < n; i++) {
+        const float x = l->offset_x[i], y = l->offset_y[i], u = (u0 + (x * ux + y * uy)) * per_u, v = (v0 + (x * vx + y * vy)) * per_v;
+        cx[i] = (u - floorf(u) * repeat_u) * width - 0.5f;
+        cy[i] = (v - floorf(v) * repeat_v) * height - 0.5f;
+    }
+}
+
+/* How far a footprint's readings reach from its middle. */
+static inline void reach_of(const plan *n, float *x, float *y)
+{
+    const float along = 0.5f * (float)(n->along - 1), across = 0.5f * (float)(n->across - 1);
+    *x = fabsf(n->step[0]) * along + fabsf(n->side[0]) * across + 0.01f;
+    *y = fabsf(n->step[1]) * along + fabsf(n->side[1]) * across + 0.01f;
+}
+
+/* All lanes with one plan. True when every reading was inside the level. */
+static bool read_alike(const svo_pyramid *p, const plan *n, const float *cx, const float *cy, uint32_t count, float (*out)[SVOI_LANES])
+{
+    const uint32_t filled = (count + 7) & ~7u;
+    const float along = 0.5f * (float)(n->along - 1), across = 0.5f * (float)(n->across - 1), right = (float)p->width[n->level] - 1, bottom = (float)p->height[n->level] - 1;
+    const float x0 = along * n->step[0] + across * n->side[0], y0 = along * n->step[1] + across * n->side[1];
+    float ex, ey;
+    int32_t outside = 0;
+    reach_of(n, &ex, &ey);
+    for (uint32_t i = 0; i < filled; i++) outside |= !((cx[i] - ex > 0) & (cy[i] - ey > 0) & (cx[i] + ex < right) & (cy[i] + ey < bottom));
+    if (outside) return false;
+    tap_lanes t;
+    t.count = count;
+    for (uint32_t i = 0; i < filled; i++) {
+        t.x[i] = cx[i] - x0, t.y[i] = cy[i] - y0;
+        t.step_x[i] = n->step[0], t.step_y[i] = n->step[1];
+        t.side_x[i] = n->side[0], t.side_y[i] = n->side[1];
+        t.sum[i] = (pair){0};
+    }
+    read_taps(p, n, &t);
+    store_means(&t, unit(p, n->level) / (float)(n->along * n->across), out);
+    return true;
+}
+
+/* The lanes whose plans have the shape of `first`. */
+static void read_shape(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, uint32_t first, bool alike, float (*out)[SVOI_LANES])
+{
+    const plan *shape = &f->plan[first];
+    float cx[SVOI_LANES], cy[SVOI_LANES], mean[4][SVOI_LANES];
+    find_middles(f, how, p, l, shape->level, cx, cy);
+    if (alike && read_alike(p, shape, cx, cy, l->count, out)) return;
+    const float along = 0.5f * (float)(shape->along - 1), across = 0.5f * (float)(shape->across - 1), width = (float)p->width[shape->level], height = (float)p->height[shape->level];
+    tap_lanes t;
+    t.count = 0;
+    for (uint32_t i = 0; i < l->count; i++) {
+        const plan *n = &f->plan[l->step[i]];
+        if (f->shape[l->step[i]] != first) continue;
+        float ex, ey;
+        reach_of(n, &ex, &ey);
+        const float x = cx[i], y = cy[i], x0 = x - (along * n->step[0] + across * n->side[0]), y0 = y - (along * n->step[1] + across * n->side[1]);
+        if (!(x - ex > 0 && y - ey > 0 && x + ex < width - 1 && y + ey < height - 1)) {
+            float texel[4];
+            read_edge(how, p, n, x0, y0, ex + 1 < width && ey + 1 < height, texel);
+            for (int c = 0; c < 4; c++) out[c][i] = texel[c];
+            continue;
+        }
+        const uint32_t k = t.count++;
+        t.lane[k] = (uint8_t)i;
+        t.x[k] = x0, t.y[k] = y0;
+        t.step_x[k] = n->step[0], t.step_y[k] = n->step[1];
+        t.side_x[k] = n->side[0], t.side_y[k] = n->side[1];
+        t.sum[k] = (pair){0};
+    }
+    if (t.count == 0) return;
+    for (uint32_t k = t.count; k % 8 != 0; k++) t.x[k] = t.y[k] = t.step_x[k] = t.step_y[k] = t.side_x[k] = t.side_y[k] = 0, t.sum[k] = (pair){0};
+    read_taps(p, shape, &t);
+    store_means(&t, unit(p, shape->level) / (float)(shape->along * shape->across), mean);
+    for (int c = 0; c < 4; c++)
+        for (uint32_t k = 0; k < t.count; k++) out[c][t.lane[k]] = mean[c][k];
+}
+
+void svoi_inner_read(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES])
+{
+    uint32_t shapes = 0, steps = 0; /* bits of those that are there */
+    for (uint32_t i = 0; i < l->count; i++) shapes |= (uint32_t)1 << f->shape[l->step[i]], steps |= (uint32_t)1 << l->step[i];
+    for (uint32_t i = l->count; i % 8 != 0; i++)
+        for (int c = 0; c < 4; c++) out[c][i] = 0;
+    const bool one = (shapes & (shapes - 1)) == 0;
+    for (; shapes != 0; shapes &= shapes - 1) {
+        const uint32_t first = (uint32_t)__builtin_ctz(shapes);
+        /* where one reading is enough there are no steps between them */
+        const bool alike = one && ((steps & (steps - 1)) == 0 ? steps == (uint32_t)1 << first : f->plan[first].along * f->plan[first].across == 1);
+        read_shape(f, how, p, l, first, alike, out);
     }
 }

@@ -131,7 +131,10 @@ static svo_result place_levels(svo_pyramid *p, svo_error *err)
 void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out)
 {
     *out = (svo_pyramid){.image = image, .kind = kind, .levels = 1};
-    for (int i = 0; i < 256; i++) out->linear[i] = svo_srgb_to_linear((uint8_t)i);
+    for (int i = 0; i < 256; i++) {
+        out->linear[i] = svo_srgb_to_linear((uint8_t)i);
+        out->stored[i] = (float)(uint16_t)(out->linear[i] * 65535 + 0.5f);
+    }
     out->outside = image->paged != NULL;
     out->width[0] = image->width;
     out->height[0] = image->height;
@@ -166,6 +169,21 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
     return SVO_OK;
 }
 
+void svo_pyramid_expand(svo_pyramid *p)
+{
+    const uint64_t count = (uint64_t)p->width[0] * p->height[0];
+    if (p->kind != SVO_TEXEL_COLOR || p->outside || p->texels[0] != NULL) return;
+    p->texels[0] = svo_alloc(p->allocator, count, 8);
+    if (p->texels[0] == NULL) return;
+    uint16_t stored[256];
+    for (int i = 0; i < 256; i++) stored[i] = (uint16_t)p->stored[i];
+    const uint8_t *from = p->image->pixels;
+    for (uint64_t i = 0; i < count; i++, from += 4) {
+        const uint64_t texel = stored[from[0]] | (uint64_t)stored[from[1]] << 16 | (uint64_t)stored[from[2]] << 32 | (uint64_t)65535 << 48;
+        memcpy(p->texels[0] + 4 * i, &texel, 8); /* little-endian */
+    }
+}
+
 void svo_pyramid_free(svo_pyramid *p)
 {
     if (p == NULL) return;
@@ -175,7 +193,7 @@ void svo_pyramid_free(svo_pyramid *p)
         p->levels = 0;
         return;
     }
-    for (uint32_t l = 1; l < p->levels; l++) {
+    for (uint32_t l = 0; l < p->levels; l++) {
         uint64_t count = (uint64_t)p->width[l] * p->height[l];
         svo_free(p->allocator, p->texels[l], count, 8);
         svo_free(p->allocator, p->most[l], count, 1);

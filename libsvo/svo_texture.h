@@ -24,9 +24,10 @@ typedef struct svo_pyramid {
     svo_texel kind;
     uint32_t levels;
     uint32_t width[32], height[32];
-    uint16_t *texels[32]; /* 4 a texel; [0] is NULL; COLOR_ALPHA: premultiplied */
+    uint16_t *texels[32]; /* 4 a texel; [0] is NULL but after svo_pyramid_expand; COLOR_ALPHA: premultiplied */
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
-    float linear[256]; /* of a byte of level 0 */
+    float linear[256];   /* of a byte of level 0 */
+    float stored[256];   /* the same as the other levels hold it: whole numbers up to 65535 */
     const svo_allocator *allocator;
     bool outside;     /* the image is paged, */
     svo_paged *paged; /* and levels 1.. are in this */
@@ -35,6 +36,9 @@ typedef struct svo_pyramid {
 /* The image is borrowed. SVO_OUT_OF_MEMORY. */
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err);
 void svo_pyramid_free(svo_pyramid *p);
+/* Keep a COLOR image, of which all is in memory, as 16-bit linear numbers too (8 bytes a texel, alpha 65535), where memory allows it: readings of
+ * many texels are quicker, and the same. */
+void svo_pyramid_expand(svo_pyramid *p);
 /* The image alone, with no levels above it: nothing is allocated, nothing needs to be freed. */
 void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out);
 

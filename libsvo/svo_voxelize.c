@@ -9,6 +9,7 @@
 enum {
     MOST_VISITS = 1 << 20,
     SLICE_VOXELS = 1 << 17,
+    MOST_EXPANDED = 64 << 20, /* bytes of textures that are kept in two forms */
     IN_MEMORY_COST = 32 /* bytes a triangle that the walk in memory takes with its lists, besides snapped triangles */
 };
 
@@ -421,7 +422,12 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     r->masks = mesh_masks(r->placement.mesh);
     if (varies || r->masks) SVO_TRY(svo_shader_create(&r->placement, &r->grid, r->info, threads, r->allocator, &r->shader, err));
     uint64_t used = svo_limit_in_use(limit), left = o->memory == 0 ? UINT64_MAX : o->memory > used ? o->memory - used : 0;
-    if (o->memory != 0) threads = fit_workers(r, left, threads);
+    if (r->shader != NULL) svo_shader_expand(r->shader, o->memory == 0 ? MOST_EXPANDED : left / 16 < MOST_EXPANDED ? left / 16 : MOST_EXPANDED, threads);
+    if (o->memory != 0) {
+        used = svo_limit_in_use(limit);
+        left = o->memory > used ? o->memory - used : 0;
+        threads = fit_workers(r, left, threads);
+    }
     svo_bins_report bins = {0};
     svo_result result;
     const bool spills = must_spill(r, o, left, threads);

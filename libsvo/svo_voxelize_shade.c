@@ -19,7 +19,7 @@ void svoi_load_facet(svoi_scan *s, uint32_t triangle, const svo_record *record)
     svo_facet_make(s->r->shader, record->group, triangle - s->r->placement.groups[record->group].first, block, (const int32_t(*)[3])record->q, &s->facet);
     s->whole.count = 3;
     memcpy(s->whole.at, s->facet.corner, sizeof s->facet.corner);
-    s->flat_ready = false;
+    s->flat_ready = s->inner_ready = false;
 }
 
 /* Is something of the facet visible in a voxel? */
@@ -115,6 +115,45 @@ static void flush_shared(svoi_scan *s)
     l->count = 0;
 }
 
+/* The first of those that wait (a batch, or all): to their values. */
+static void flush_waiting(svoi_scan *s, svoi_wait *w, bool inner)
+{
+    svoi_lanes *l = &s->alone;
+    const uint32_t n = w->count < SVOI_LANES ? w->count : SVOI_LANES;
+    if (n == 0) return;
+    memcpy(l->code, w->code, n * sizeof *l->code);
+    memcpy(l->target, w->target, n * sizeof *l->target);
+    l->count = n;
+    if (inner) svoi_inner_values(s->r->shader, &s->facet, &s->inner, l);
+    else svoi_lanes_values(s->r->shader, &s->facet, l);
+    svoi_lanes_write(s->layout, l, s->channels);
+    l->count = 0;
+    w->count -= n;
+    memcpy(w->code, w->code + n, w->count * sizeof *w->code);
+    memcpy(w->target, w->target + n, w->count * sizeof *w->target);
+}
+
+/* Sort a batch into voxels that an edge of the facet may reach and others. */
+static void sort_alone(svoi_scan *s)
+{
+    svoi_lanes *l = &s->alone;
+    svoi_wait *in = &s->wait_inner, *edge = &s->wait_edge;
+    uint8_t inner[SVOI_LANES];
+    svoi_inner_find(&s->facet, l, inner);
+    uint32_t n = in->count, m = edge->count;
+    for (uint32_t i = 0; i < l->count; i++) {
+        const uint32_t code = l->code[i], target = l->target[i], is = inner[i];
+        in->code[n] = edge->code[m] = code;
+        in->target[n] = edge->target[m] = target;
+        n += is;
+        m += 1 - is;
+    }
+    in->count = n;
+    edge->count = m;
+    if (n >= SVOI_LANES) flush_waiting(s, in, true);
+    if (m >= SVOI_LANES) flush_waiting(s, edge, false);
+}
+
 /* Voxels that it has alone: to their values. */
 static void flush_alone(svoi_scan *s)
 {
@@ -123,11 +162,27 @@ static void flush_alone(svoi_scan *s)
     if (s->facet.flat) {
         flat_contribution(s);
         svoi_lanes_write_flat(s->layout, &s->flat_values, l, s->channels);
+        l->count = 0;
+        return;
+    }
+    if (!s->inner_ready) s->has_inner = svoi_inner_make(s->r->shader, &s->facet, &s->inner);
+    s->inner_ready = true;
+    if (s->has_inner) {
+        sort_alone(s);
     } else {
         svoi_lanes_values(s->r->shader, &s->facet, l);
         svoi_lanes_write(s->layout, l, s->channels);
     }
     l->count = 0;
+}
+
+/* All that the facet has left. */
+static void flush_facet(svoi_scan *s)
+{
+    flush_shared(s);
+    flush_alone(s);
+    flush_waiting(s, &s->wait_inner, true);
+    flush_waiting(s, &s->wait_edge, false);
 }
 
 /* A material's weight alone. */
@@ -293,8 +348,7 @@ static void shade_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_
         svoi_load_facet(s, list[i], &record);
         if (s->recording && !s->r->masks) shade_remembered(s, i);
         else visit_voxels(s, i, &record, box_lo, box_hi, shade_voxel);
-        flush_shared(s);
-        flush_alone(s);
+        flush_facet(s);
     }
 }
 
@@ -319,7 +373,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
         s->channels[c] = w->values.data + bytes;
         bytes += voxels * svo_channel_stride(r->info->channels[c].kind);
     }
-    s->shared.count = s->alone.count = 0;
+    s->shared.count = s->alone.count = s->wait_inner.count = s->wait_edge.count = 0;
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {

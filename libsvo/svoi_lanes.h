@@ -9,6 +9,31 @@
 
 enum { SVOI_LANES = SVOI_CLIP_BATCH };
 
+/* Voxels that wait to be a batch. */
+typedef struct svoi_wait { uint32_t count, code[2 * SVOI_LANES], target[2 * SVOI_LANES]; } svoi_wait;
+
+/* How a footprint in a texture is read: level, counts of readings, and steps between them in texels of the level. */
+typedef struct svoi_tap_plan { uint32_t level, along, across; float step[2], side[2]; } svoi_tap_plan;
+
+/* Voxels that no edge of the triangle reaches: what the plane leaves of the column depends on its height over the voxel's centre alone. So
+ * centroids come from a table by that height (and those below the centre from their mirror images), and so do the ways to read textures. Values
+ * are linear functions of the place, at + dx * per_x + dy * per_y from a base in the block. */
+enum { SVOI_INNER_STEPS = 16 };
+typedef struct svoi_inner_texture {
+    float at[2], per_x[2], per_y[2]; /* texel coordinates of the image */
+    uint8_t shape[SVOI_INNER_STEPS + 1];             /* by step: the first step with the same triple */
+    svoi_tap_plan plan[SVOI_INNER_STEPS + 1];
+} svoi_inner_texture;
+typedef struct svoi_inner {
+    uint32_t steps;                                  /* rows of the table: 1 where the plane is level */
+    float from, per_height;                          /* height at which something is cut away; rows by height */
+    float x[SVOI_INNER_STEPS + 2], y[SVOI_INNER_STEPS + 2];    /* centroid from the voxel's centre */
+    float xx[SVOI_INNER_STEPS + 1], xy[SVOI_INNER_STEPS + 1], yy[SVOI_INNER_STEPS + 1]; /* covariances */
+    float base[2];
+    float normal[3][3], color[3][3];                 /* component; at, per_x, per_y */
+    svoi_inner_texture texture[4];
+} svoi_inner;
+
 typedef struct svoi_lanes {
     uint32_t count;
     uint32_t code[2 * SVOI_LANES];   /* local Morton codes; more than a batch of them may wait */
@@ -18,12 +43,25 @@ typedef struct svoi_lanes {
     float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES], coverage[SVOI_LANES]; /* 0..1; normals unit */
     double at[2][SVOI_LANES];    /* texel coordinates, while a texture is read */
     int32_t integer[3][SVOI_LANES];
+    float offset_x[SVOI_LANES], offset_y[SVOI_LANES]; /* of inner voxels: from the base */
+    uint8_t step[SVOI_LANES];                         /* of inner voxels: row of the table */
 } svoi_lanes;
 
 /* Areas (when `areas`), centroids and, when the facet needs them, moments; then the values of every channel of the layout. */
 void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l);
 /* Averages of a texture over the pieces, at texel coordinates l->at; nearest-texel images and coordinates beyond 1e9 are not for it. */
 void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
+/* The table of a facet. False: it is not worth one, or has something that only the general way can do; then no voxel is an inner one. */
+bool svoi_inner_make(const svo_shader *s, svo_facet *t, svoi_inner *out);
+/* Which voxels does no edge reach? 1 or 0 each. */
+void svoi_inner_find(const svo_facet *t, svoi_lanes *l, uint8_t inner[SVOI_LANES]);
+/* What svoi_lanes_values says, for inner voxels. */
+void svoi_inner_values(const svo_shader *s, svo_facet *t, const svoi_inner *inner, svoi_lanes *l);
+void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svoi_inner *inner, svoi_inner_texture *out);
+/* Averages of a texture over inner voxels, at the lanes' offsets and steps. */
+void svoi_inner_read(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
+/* Codes to places. */
+void svoi_lanes_place(const svo_facet *t, svoi_lanes *l);
 /* Areas alone. */
 void svoi_lanes_areas(const svo_facet *t, svoi_lanes *l);
 /* Add to sums[target * layout->fields]: the values with their areas, or one contribution with the areas of all. */

@@ -121,6 +121,9 @@ typedef struct svoi_scan {
     svo_contribution flat; /* of a flat facet, made when first used, and what a voxel has that it has alone */
     svoi_values flat_values;
     svoi_lanes shared, alone; /* voxels of the facet that wait for their values: met by others too, or not */
+    bool inner_ready, has_inner;
+    svoi_inner inner;         /* of the facet; then voxels that it has alone wait once more: those that no edge reaches, and the others */
+    svoi_wait wait_inner, wait_edge;
     uint8_t *channels[SVO_MAX_CHANNELS];
     uint64_t *sums;
     uint32_t triangle;   /* number in the placement */
