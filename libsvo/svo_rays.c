@@ -54,12 +54,52 @@ static void trace_one(const svo_rays *r, svoi_ray_cache *cache, const svo_ray *r
     else blocked[i] = svoi_ray_blocked(r->view, cache, &rays[i]);
 }
 
+/* Rays that no packet takes begin at the root. */
+static void start_alone(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    const svoi_ray_list *in = &b->in;
+    svoi_ray_list *to = &b->start;
+    uint32_t n = b->starts;
+    for (int k = 0; k < 3; k++) {
+        memcpy(&to->o[k][n], &in->o[k][first], count * sizeof(double));
+        memcpy(&to->d[k][n], &in->d[k][first], count * sizeof(double));
+        memcpy(&to->inv[k][n], &in->inv[k][first], count * sizeof(double));
+        memcpy(&to->q[k][n], &in->q[k][first], count * sizeof(int32_t));
+    }
+    memcpy(&to->t[n], &in->t[first], count * sizeof(double));
+    memcpy(&to->t_max[n], &in->t_max[first], count * sizeof(double));
+    if (lod) memcpy(&to->spread[n], &in->spread[first], count * sizeof(double)), memcpy(&to->offset[n], &in->offset[first], count * sizeof(double));
+    memcpy(&to->ray[n], &in->ray[first], count * sizeof(int32_t));
+    for (uint32_t i = 0; i < count; i++) b->s[n + i] = SVOI_RAYS_BITS - 2, b->node[n + i] = 0;
+    for (uint32_t k = 1; k < r->levels; k++) memset(&b->stack[k][n], 0, count * sizeof(int32_t));
+    b->starts += count;
+}
+
+/* Bring packets of rays as far as they go together. True if there are any; then all rays are in `start`. */
+static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
+{
+    uint32_t alone = 0; /* rays before the first packet are moved when there is one */
+    bool any = false;
+    b->starts = 0;
+    for (uint32_t i = 0; i < b->count;) {
+        uint32_t n = b->count - i < SVOI_RAYS_PACKET ? b->count - i : SVOI_RAYS_PACKET;
+        bool together = n >= 8 && svoi_rays_packet_avx512(r, lod, b, i, n);
+        if (together && !any) any = true, start_alone(r, lod, b, 0, alone);
+        else if (!together && any) start_alone(r, lod, b, i, n);
+        else if (!together) alone += n;
+        i += n;
+    }
+    return any;
+}
+
 /* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
 static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked)
 {
     bool lod = wants_lod(r->view, rays, count);
     svoi_rays_prepare_avx512(r, rays, count, lod, b);
-    svoi_rays_trace_avx512(r, lod, b);
+    b->found = 0;
+    bool start = trace_packets(r, lod, b);
+    svoi_rays_trace_avx512(r, lod, start, b);
     if (hits != NULL) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
     else memset(blocked, 0, count * sizeof *blocked);
     for (uint32_t i = 0; i < (count + 7) / 8; i++)

@@ -12,8 +12,7 @@
 
 #include "svoi_rays.h"
 
-#if defined(__x86_64__) && defined(__AVX512F__) && defined(__AVX512VL__) && defined(__AVX512DQ__) && defined(__AVX512BW__) && \
-    defined(__AVX512VPOPCNTDQ__) && defined(__AVX512CD__)
+#ifdef SVOI_HAVE_AVX512
 #include <immintrin.h>
 #include <math.h>
 
@@ -40,9 +39,11 @@ static void transpose(const svo_ray *rays, uint32_t count, double scale, svoi_ra
 {
     for (uint32_t i = 0; i < count; i++) {
         const svo_ray *r = &rays[i];
-        for (int k = 0; k < 3; k++) b->o[k][i] = r->origin[k] * scale, b->d[k][i] = r->direction[k] * scale;
-        b->t[i] = r->t_min, b->t_max[i] = r->t_max;
-        b->spread[i] = r->spread, b->offset[i] = r->offset;
+        __builtin_prefetch(r + SVOI_RAYS_BATCH); /* of the next batch */
+        __builtin_prefetch((const char *)(r + SVOI_RAYS_BATCH) + 64);
+        for (int k = 0; k < 3; k++) b->in.o[k][i] = r->origin[k] * scale, b->in.d[k][i] = r->direction[k] * scale;
+        b->in.t[i] = r->t_min, b->in.t_max[i] = r->t_max;
+        b->in.spread[i] = r->spread, b->in.offset[i] = r->offset;
     }
 }
 
@@ -58,10 +59,10 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i += 8) {
         __mmask8 lanes = count - i >= 8 ? 0xff : (__mmask8)((1u << (count - i)) - 1), usual = lanes, entering[3], negative[3];
-        __m512d o[3], d[3], inv[3], near[3], t_min = _mm512_loadu_pd(&b->t[i]), t_max = _mm512_loadu_pd(&b->t_max[i]);
+        __m512d o[3], d[3], inv[3], near[3], t_min = _mm512_loadu_pd(&b->in.t[i]), t_max = _mm512_loadu_pd(&b->in.t_max[i]);
         __m512d t = t_min, leave = _mm512_set1_pd(INFINITY);
         for (int k = 0; k < 3; k++) {
-            o[k] = _mm512_loadu_pd(&b->o[k][i]), d[k] = _mm512_loadu_pd(&b->d[k][i]);
+            o[k] = _mm512_loadu_pd(&b->in.o[k][i]), d[k] = _mm512_loadu_pd(&b->in.d[k][i]);
             inv[k] = _mm512_div_pd(one, d[k]);
             /* NaN fails every one of these */
             usual &= _mm512_cmp_pd_mask(absolute(o[k]), _mm512_set1_pd(far_enough), _CMP_LE_OQ);
@@ -77,7 +78,7 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         usual &= _mm512_cmp_pd_mask(absolute(t_min), _mm512_set1_pd(0x1p300), _CMP_LE_OQ);
         usual &= _mm512_cmp_pd_mask(t_max, t_max, _CMP_ORD_Q);
         if (lod) {
-            __m512d spread = _mm512_loadu_pd(&b->spread[i]), offset = _mm512_loadu_pd(&b->offset[i]);
+            __m512d spread = _mm512_loadu_pd(&b->in.spread[i]), offset = _mm512_loadu_pd(&b->in.offset[i]);
             /* the root itself is not a cell of any node: where it is small enough the ray is left to svo_raycast */
             __m512d limit = _mm512_add_pd(_mm512_mul_pd(spread, t), offset);
             usual &= _mm512_cmp_pd_mask(limit, _mm512_set1_pd(root_size), _CMP_LT_OQ);
@@ -97,18 +98,18 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         b->unsure[i / 8] = doubt;
         /* Close the ranks. Writing past `kept` is harmless: later rays are read before. */
         for (int k = 0; k < 3; k++) {
-            _mm512_storeu_pd(&b->o[k][kept], _mm512_maskz_compress_pd(meets, o[k]));
-            _mm512_storeu_pd(&b->d[k][kept], _mm512_maskz_compress_pd(meets, d[k]));
-            _mm512_storeu_pd(&b->inv[k][kept], _mm512_maskz_compress_pd(meets, inv[k]));
-            _mm256_storeu_si256((__m256i *)&b->q[k][kept], _mm256_maskz_compress_epi32(meets, q[k]));
+            _mm512_storeu_pd(&b->in.o[k][kept], _mm512_maskz_compress_pd(meets, o[k]));
+            _mm512_storeu_pd(&b->in.d[k][kept], _mm512_maskz_compress_pd(meets, d[k]));
+            _mm512_storeu_pd(&b->in.inv[k][kept], _mm512_maskz_compress_pd(meets, inv[k]));
+            _mm256_storeu_si256((__m256i *)&b->in.q[k][kept], _mm256_maskz_compress_epi32(meets, q[k]));
         }
         if (lod) {
-            _mm512_storeu_pd(&b->spread[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->spread[i]), _mm512_set1_pd(scale))));
-            _mm512_storeu_pd(&b->offset[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->offset[i]), _mm512_set1_pd(scale))));
+            _mm512_storeu_pd(&b->in.spread[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->in.spread[i]), _mm512_set1_pd(scale))));
+            _mm512_storeu_pd(&b->in.offset[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->in.offset[i]), _mm512_set1_pd(scale))));
         }
-        _mm512_storeu_pd(&b->t[kept], _mm512_maskz_compress_pd(meets, t));
-        _mm512_storeu_pd(&b->t_max[kept], _mm512_maskz_compress_pd(meets, t_max));
-        _mm256_storeu_si256((__m256i *)&b->ray[kept], _mm256_maskz_compress_epi32(meets, number));
+        _mm512_storeu_pd(&b->in.t[kept], _mm512_maskz_compress_pd(meets, t));
+        _mm512_storeu_pd(&b->in.t_max[kept], _mm512_maskz_compress_pd(meets, t_max));
+        _mm256_storeu_si256((__m256i *)&b->in.ray[kept], _mm256_maskz_compress_epi32(meets, number));
         kept += (uint32_t)__builtin_popcount(meets);
     }
     b->count = kept;
@@ -160,28 +161,26 @@ INLINE pair fill_pair(pair p, const double *from, __mmask16 m, uint32_t low_coun
 }
 
 /* New rays for the lanes `m`, from number `next` of the batch on. */
-INLINE void fill(lanes *l, const svoi_ray_batch *b, bool lod, __mmask16 m, uint32_t next)
+INLINE void fill(lanes *l, const svoi_ray_list *from, bool lod, __mmask16 m, uint32_t next)
 {
     uint32_t low_count = (uint32_t)__builtin_popcount(m & 0xff);
     for (int k = 0; k < 3; k++) {
-        l->o[k] = fill_pair(l->o[k], &b->o[k][next], m, low_count);
-        l->d[k] = fill_pair(l->d[k], &b->d[k][next], m, low_count);
-        l->inv[k] = fill_pair(l->inv[k], &b->inv[k][next], m, low_count);
-        l->q[k] = _mm512_mask_expand_epi32(l->q[k], m, _mm512_loadu_si512(&b->q[k][next]));
+        l->o[k] = fill_pair(l->o[k], &from->o[k][next], m, low_count);
+        l->d[k] = fill_pair(l->d[k], &from->d[k][next], m, low_count);
+        l->inv[k] = fill_pair(l->inv[k], &from->inv[k][next], m, low_count);
+        l->q[k] = _mm512_mask_expand_epi32(l->q[k], m, _mm512_loadu_si512(&from->q[k][next]));
         __mmask16 negative = both(_mm512_movepi64_mask(_mm512_castpd_si512(l->d[k].a)), _mm512_movepi64_mask(_mm512_castpd_si512(l->d[k].b)));
         l->backward[k] = _mm512_movm_epi32(negative);
         l->positive[k] = _mm512_movm_epi32((__mmask16)~negative);
         l->step[k] = _mm512_insertf32x8(_mm512_castps256_ps512(_mm512_cvtpd_ps(l->inv[k].a)), _mm512_cvtpd_ps(l->inv[k].b), 1);
     }
-    l->t = fill_pair(l->t, &b->t[next], m, low_count);
-    l->t_max = fill_pair(l->t_max, &b->t_max[next], m, low_count);
+    l->t = fill_pair(l->t, &from->t[next], m, low_count);
+    l->t_max = fill_pair(l->t_max, &from->t_max[next], m, low_count);
     if (lod) {
-        l->spread = fill_pair(l->spread, &b->spread[next], m, low_count);
-        l->offset = fill_pair(l->offset, &b->offset[next], m, low_count);
+        l->spread = fill_pair(l->spread, &from->spread[next], m, low_count);
+        l->offset = fill_pair(l->offset, &from->offset[next], m, low_count);
     }
-    l->ray = _mm512_mask_expand_epi32(l->ray, m, _mm512_loadu_si512(&b->ray[next]));
-    l->s = choose(m, word(SVOI_RAYS_BITS - 2), l->s);
-    l->node = choose(m, _mm512_setzero_si512(), l->node);
+    l->ray = _mm512_mask_expand_epi32(l->ray, m, _mm512_loadu_si512(&from->ray[next]));
 }
 
 /* Results of lanes that have finished with something to tell. */
@@ -257,17 +256,25 @@ typedef struct group {
 } group;
 
 /* New rays where few are left; false when there is nothing to do any more. */
-INLINE bool refill(group *g, svoi_ray_batch *b, bool lod, uint32_t *next)
+INLINE bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, bool start, uint32_t *next)
 {
     if (__builtin_popcount(g->active) > REFILL) return true;
-    uint32_t rest = b->count - *next;
+    uint32_t rest = (start ? b->starts : b->count) - *next;
     if (rest == 0) return g->active != 0;
     if (g->finished != 0) flush(&g->l, g->finished, b);
     g->finished = 0;
     __mmask16 empty = (__mmask16)~g->active;
     uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
     __mmask16 m = (__mmask16)_pdep_u32((1u << taken) - 1, empty);
-    fill(&g->l, b, lod, m, *next);
+    fill(&g->l, start ? &b->start : &b->in, lod, m, *next);
+    if (start) {
+        g->l.s = _mm512_mask_expand_epi32(g->l.s, m, _mm512_loadu_si512(&b->s[*next]));
+        g->l.node = _mm512_mask_expand_epi32(g->l.node, m, _mm512_loadu_si512(&b->node[*next]));
+        for (uint32_t k = 1; k < r->levels; k++) g->stack[k] = _mm512_mask_expand_epi32(g->stack[k], m, _mm512_loadu_si512(&b->stack[k][*next]));
+    } else {
+        g->l.s = choose(m, word(SVOI_RAYS_BITS - 2), g->l.s);
+        g->l.node = choose(m, _mm512_setzero_si512(), g->l.node);
+    }
     *next += taken;
     g->active |= m;
     return true;
@@ -372,15 +379,14 @@ INLINE void step(group *g, const svo_rays *r)
 /* Two groups take turns part by part: while one waits for its last result the other works. */
 enum { GROUPS = 2 };
 
-INLINE void trace(const svo_rays *r, bool lod, svoi_ray_batch *b)
+INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
 {
     group g[GROUPS];
     uint32_t next = 0;
     memset(g, 0, sizeof g);
-    b->found = 0;
     for (;;) {
         bool more = false;
-        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], b, lod, &next);
+        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, lod, start, &next);
         if (!more) break;
         for (int i = 0; i < GROUPS; i++) load_nodes(r->units, g[i].l.node, g[i].node);
         for (int i = 0; i < GROUPS; i++) g[i].missed = misses_box(&g[i].l, g[i].node[3], lod);
@@ -393,10 +399,12 @@ INLINE void trace(const svo_rays *r, bool lod, svoi_ray_batch *b)
         if (g[i].finished != 0) flush(&g[i].l, g[i].finished, b);
 }
 
-void svoi_rays_trace_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b)
+void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
 {
-    if (lod) trace(r, true, b);
-    else trace(r, false, b);
+    if (lod && start) trace(r, true, true, b);
+    else if (lod) trace(r, true, false, b);
+    else if (start) trace(r, false, true, b);
+    else trace(r, false, false, b);
 }
 #else
 bool svoi_rays_have_avx512(void) { return false; }
@@ -404,5 +412,5 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
 {
     (void)r, (void)rays, (void)count, (void)lod, (void)b;
 }
-void svoi_rays_trace_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b) { (void)r, (void)lod, (void)b; }
+void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b) { (void)r, (void)lod, (void)start, (void)b; }
 #endif

@@ -19,6 +19,7 @@
 enum {
     SVOI_RAYS_BITS = 30,
     SVOI_RAYS_BATCH = 256,
+    SVOI_RAYS_PACKET = 64, /* rays that are traced with one beam around them, at most */
     SVOI_RAYS_LEVELS = (SVO_MAX_DEPTH + 2) / 2,
     SVOI_RAYS_PAD = 16 /* what vector loads may read past the end of arrays */
 };
@@ -36,14 +37,22 @@ struct svo_rays {
     uint64_t nodes, bricks;
 };
 
-/* Rays made ready: in fixed-point units, structure of arrays, those that can hit anything only. `ray` is the number in the batch. */
-typedef struct svoi_ray_batch {
+/* Rays made ready: in fixed-point units, structure of arrays. */
+typedef struct svoi_ray_list {
     _Alignas(64) double o[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], d[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], inv[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) double t[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], t_max[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) double spread[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], offset[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
-    _Alignas(64) int32_t q[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
-    _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) int32_t q[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD]; /* where the ray is at t */
+    _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];  /* number in the batch */
+} svoi_ray_list;
+
+typedef struct svoi_ray_batch {
+    svoi_ray_list in; /* those that can hit anything */
     uint32_t count;
+    /* Rays that a packet has brought to a node: its unit, log2 of the edge of its cells, and the nodes above it by level from the finest. */
+    svoi_ray_list start;
+    uint32_t starts;
+    _Alignas(64) int32_t s[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], node[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], stack[SVOI_RAYS_LEVELS][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` */
     /* What was found, in no order: number of ray; state: SVOI_RAY_DOUBT, or 1 + log2 of the edge of the node hit, in
      * fixed-point units; where the ray was then. */
@@ -52,9 +61,18 @@ typedef struct svoi_ray_batch {
 } svoi_ray_batch;
 enum { SVOI_RAY_DOUBT = 0x100 };
 
+#if defined(__x86_64__) && defined(__AVX512F__) && defined(__AVX512VL__) && defined(__AVX512DQ__) && defined(__AVX512BW__) && \
+    defined(__AVX512VPOPCNTDQ__) && defined(__AVX512CD__)
+#define SVOI_HAVE_AVX512
+#endif
+
 /* Fill in a batch from at most SVOI_RAYS_BATCH rays, trace it. */
 bool svoi_rays_have_avx512(void);
 void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, bool lod, svoi_ray_batch *b);
-void svoi_rays_trace_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b);
+/* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
+void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
+/* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
+ * `start`. False, and nothing done, where they do not go the same way. */
+bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count);
 
 #endif

@@ -151,6 +151,56 @@ TEST(a_loop_over_all_voxels_agrees)
     }
 }
 
+/* Neighbouring rays, as of a camera or a light, which kernels trace together: tiles of 16x16 in rows of 4x4, from everywhere, inside
+ * voxels, along axes nearly and exactly, narrow and wide, with intervals and levels of detail. */
+TEST(rays_that_go_the_same_way)
+{
+    static const uint32_t depths[] = {2, 3, 4, 5, 6, 7, 9, 12, 16, 21};
+    enum { RAYS = 256 };
+    svo_ray *rays = malloc(RAYS * sizeof *rays);
+    uint64_t seed = 21;
+    for (size_t d = 0; d < sizeof depths / sizeof *depths; d++)
+        for (uint32_t style = 0; style < 4 && !test_failed(); style++) {
+            uint64_t *codes, cells = (uint64_t)1 << 3 * depths[d], want = cells < 5000 ? cells : 5000;
+            uint64_t count = make_world(depths[d], style, want, &seed, &codes);
+            packer_options o = {.lod = true};
+            svo_view *v = packer_make(depths[d], codes, count, &o);
+            double n = ldexp(1, (int)depths[d]);
+            for (uint32_t tile = 0; tile < 40 && !test_failed(); tile++) {
+                double origin[3], forward[3], right[3], up[3];
+                bool parallel = tile % 3 == 1, inside = tile % 4 == 3, lod = tile % 5 == 2, interval = tile % 7 == 4;
+                uint32_t x, y, z;
+                svo_morton_decode(codes[test_random(&seed) % count], &x, &y, &z);
+                double aim[3] = {x + 0.5, y + 0.4, z + 0.6};
+                double width = ldexp(test_random_unit(&seed), -(int)(test_random(&seed) % 12)); /* of the tile, in the grid */
+                for (int k = 0; k < 3; k++) {
+                    origin[k] = inside ? aim[k] + 4 * test_random_unit(&seed) : (3 * test_random_unit(&seed) - 1) * n;
+                    forward[k] = aim[k] - origin[k] + (tile % 11 == 7 ? n : 0);
+                    right[k] = n * width * (test_random_unit(&seed) - 0.5);
+                    up[k] = n * width * (test_random_unit(&seed) - 0.5);
+                }
+                if (tile % 13 == 5) forward[tile % 3] = ldexp(forward[tile % 3], -30); /* nearly along a plane */
+                if (tile % 13 == 6) forward[tile % 3] = 0, right[tile % 3] = up[tile % 3] = 0;
+                double spread = lod ? ldexp(test_random_unit(&seed), (int)(test_random(&seed) % (depths[d] + 1))) : 0;
+                for (uint32_t i = 0; i < RAYS; i++) {
+                    double sx = (i / 16 % 4 * 4 + i % 4) / 16.0 - 0.5, sy = (i / 64 * 4 + i / 4 % 4) / 16.0 - 0.5;
+                    rays[i] = (svo_ray){.t_min = 0, .t_max = INFINITY, .spread = spread, .offset = lod && tile % 2 != 0 ? spread * n / 8 : 0};
+                    for (int k = 0; k < 3; k++) {
+                        double across = sx * right[k] + sy * up[k];
+                        rays[i].origin[k] = origin[k] + (parallel ? across : 0);
+                        rays[i].direction[k] = forward[k] + (parallel ? 0 : across);
+                    }
+                    if (interval) rays[i].t_min = 0.2 * test_random_unit(&seed), rays[i].t_max = 0.7 + 0.6 * test_random_unit(&seed);
+                    if (tile % 17 == 9 && i % 50 == 3) rays[i] = nasty_ray(&seed, depths[d], (uint32_t)(test_random(&seed) % KINDS));
+                }
+                check_rays(v, rays, tile % 6 == 0 ? 100 : RAYS);
+            }
+            packer_free(v);
+            free(codes);
+        }
+    free(rays);
+}
+
 TEST(every_layout)
 {
     static const svo_geometry layouts[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};

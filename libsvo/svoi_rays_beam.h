@@ -1,0 +1,351 @@
+/* Internal to libsvo: rays that go the same way, traced together. Not installed. Included by one file for each kind of processor
+ * (svo_rays_beam*.c), after svoi_wide_*.h, which says what 16 doubles are there.
+ *
+ * A packet of up to 64 rays has one beam around it: a pyramid along the axis of their largest component, bounded by two straight
+ * lines on each of the other two axes. The lines join the extremes of all rays at both ends of the packet's way; between the ends the
+ * least position of straight rays is concave and the largest convex, so the lines are outside of all of them. A node of 4x4x4 cells is
+ * compared with the beam at once: which cells it touches is a mask of 64 bits, and what it has in common with the node's own mask is
+ * visited, nearest first. So the way down is shared by all rays, and empty space costs nothing but nodes that the beam
+ * touches. It ends where cells become narrower than the beam, or small enough for some ray to stop at: there each ray is
+ * on its own, from the first non-empty cell that it meets.
+ *
+ * Beams are a little too wide, which costs time and nothing else: rays are tested against a cell with the same doubles, in the same order of operations, as
+ * svo_raycast does it. All rays of a packet have the same signs, so cells are met in one order (ascending in all mirrored coordinates), and
+ * the first cell of which a ray meets the interval is its nearest. */
+#ifndef SVOI_RAYS_BEAM_H
+#define SVOI_RAYS_BEAM_H
+
+#include <math.h>
+#include <string.h>
+
+enum {
+    GROUPS = SVOI_RAYS_PACKET / 16,
+    MARGIN = 2048, /* units: more than floats round */
+    /* Measured (bench_rays): */
+    WIDE = 4,  /* rays part where the packet is wider than so many cells */
+    NARROW = 4 /* a packet of at most so many finest voxels stays together in bricks */
+};
+#define WIDEST 0.125 /* a packet is not made when it is wider than this part of the root */
+
+/* Extremes of some rays at the two ends of a packet's way. */
+typedef struct ends { double v[2][2], w[2][2]; /* [end][low, high] */ } ends;
+
+/* A beam as `touch` wants it: per axis low bounds of the four layers of cells across the way, then high ones. */
+typedef struct beam { _Alignas(32) float offset[2][8], slope[2][8], layer[2][8]; } beam;
+
+typedef struct way {
+    uint32_t axis[3]; /* the packet's main axis, then the two others */
+    double from, to;  /* along the main axis */
+    int32_t low, high; /* the same, ascending, rounded outwards */
+    double limit, limit_slope; /* level of detail: largest limit of any ray at `from`, and its growth */
+    double width, width_slope; /* of the beam, likewise */
+    uint64_t layers[4]; /* cells of the layers of the main axis */
+    const uint64_t *below[3]; /* by axis of `axis`: cells whose coordinate is less than i */
+    uint32_t flip;  /* of cell numbers, to the order of the rays */
+    uint8_t negative; /* bit k: direction[k] < 0 */
+} way;
+
+/* Cells of a node of 4x4x4 whose coordinate on an axis is below 0 .. 4. */
+static const uint64_t below[3][8] = {
+    {0, 0x1111111111111111u, 0x3333333333333333u, 0x7777777777777777u, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0},
+    {0, 0x000f000f000f000fu, 0x00ff00ff00ff00ffu, 0x0fff0fff0fff0fffu, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0},
+    {0, 0x000000000000ffffu, 0x00000000ffffffffu, 0x0000ffffffffffffu, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0, ~(uint64_t)0}};
+
+static void make_beam(const way *y, const ends *e, beam *b)
+{
+    double length = y->to - y->from;
+    for (int k = 0; k < 2; k++)
+        for (int side = 0; side < 2; side++) {
+            double a = k == 0 ? e->v[0][side] : e->w[0][side], z = k == 0 ? e->v[1][side] : e->w[1][side];
+            double slope = length != 0 ? (z - a) / length : 0;
+            if (length == 0 && (side == 0 ? z < a : z > a)) a = z;
+            double offset = a - slope * y->from + (side == 0 ? -MARGIN : MARGIN);
+            bool far = side == 0 ? slope < 0 : slope > 0; /* which end of a layer has the extreme */
+            for (int i = 0; i < 4; i++) {
+                b->offset[k][4 * side + i] = (float)offset;
+                b->slope[k][4 * side + i] = (float)slope;
+                b->layer[k][4 * side + i] = (float)slope * (float)(i + far) + (float)side; /* cells below high + 1 */
+            }
+        }
+}
+
+INLINE int32_t clamp4(int32_t x) { return x < 0 ? 0 : x > 4 ? 4 : x; }
+
+/* Cells of the node at `corner` that the beam may touch; cells have an edge of 2^s. */
+INLINE uint64_t touched(const way *y, const beam *b, const int32_t corner[3], uint32_t s)
+{
+    int32_t u = corner[y->axis[0]];
+    uint64_t along = y->below[0][clamp4(((y->high - u) >> s) + 1)] & ~y->below[0][clamp4((y->low - u) >> s)];
+    return along & touch(y->below[1], y->below[2], y->layers, b->offset[0], b->slope[0], b->layer[0], (float)u, (float)corner[y->axis[1]], (float)corner[y->axis[2]],
+                         (float)(1.0 / (double)((uint32_t)1 << s)));
+}
+
+INLINE uint64_t swap_bits(uint64_t m, uint64_t lower, unsigned by) { return (m >> by & lower) | (m & lower) << by; }
+
+/* The mask with cell c at c ^ flip. */
+INLINE uint64_t mirrored(uint64_t m, uint32_t flip)
+{
+    if (flip & 3) m = swap_bits(swap_bits(m, 0x5555555555555555u, 1), 0x3333333333333333u, 2);
+    if (flip & 12) m = swap_bits(swap_bits(m, 0x0f0f0f0f0f0f0f0fu, 4), 0x00ff00ff00ff00ffu, 8);
+    if (flip & 48) m = swap_bits(swap_bits(m, 0x0000ffff0000ffffu, 16), 0x00000000ffffffffu, 32);
+    return m;
+}
+
+/* ---- making packets ---------------------------------------------------------------------------------------------------- */
+
+typedef struct packet {
+    const svo_rays *r;
+    svoi_ray_batch *b;
+    uint32_t first, count, groups; /* rays of the batch, and in 16s */
+    uint32_t active[GROUPS];       /* rays that have not met anything */
+    way y;
+    ends ends[GROUPS];
+    beam beam, group[GROUPS];
+    bool ready[GROUPS]; /* group[g] is made */
+} packet;
+
+/* A beam around all active rays, and its width. */
+static void join(packet *p)
+{
+    way *y = &p->y;
+    ends e;
+    bool any = false;
+    for (uint32_t g = 0; g < p->groups; g++) {
+        if (p->active[g] == 0) continue;
+        const ends *f = &p->ends[g];
+        if (!any) e = *f;
+        for (int i = 0; i < 2; i++) {
+            e.v[i][0] = fmin(e.v[i][0], f->v[i][0]), e.v[i][1] = fmax(e.v[i][1], f->v[i][1]);
+            e.w[i][0] = fmin(e.w[i][0], f->w[i][0]), e.w[i][1] = fmax(e.w[i][1], f->w[i][1]);
+        }
+        any = true;
+    }
+    if (!any) return;
+    double a = fmax(e.v[0][1] - e.v[0][0], e.w[0][1] - e.w[0][0]), z = fmax(e.v[1][1] - e.v[1][0], e.w[1][1] - e.w[1][0]), length = fabs(y->to - y->from);
+    y->width = a;
+    y->width_slope = length > 0 ? (z - a) / length : 0;
+    make_beam(y, &e, &p->beam);
+}
+
+/* Rays first .. first + count of a batch as a packet; false if they do not go the same way. */
+static bool make_packet(packet *p, const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    way *y = &p->y;
+    p->r = r, p->b = b, p->first = first, p->count = count;
+    p->groups = (count + 15) / 16;
+    /* the rays after the last are copies of it, so that extremes need no masks */
+    for (uint32_t i = first + count; i < first + 16 * p->groups; i++) {
+        uint32_t last = first + count - 1;
+        for (int k = 0; k < 3; k++) b->in.o[k][i] = b->in.o[k][last], b->in.d[k][i] = b->in.d[k][last], b->in.inv[k][i] = b->in.inv[k][last];
+        b->in.t[i] = b->in.t[last], b->in.t_max[i] = b->in.t_max[last];
+        if (lod) b->in.spread[i] = b->in.spread[last], b->in.offset[i] = b->in.offset[last];
+    }
+    y->negative = 0, y->flip = 0;
+    double size[3];
+    for (int k = 0; k < 3; k++) {
+        bool negative = b->in.d[k][first] < 0;
+        y->negative |= (uint8_t)(negative << k);
+        y->flip |= negative ? 3u << 2 * k : 0;
+        size[k] = fabs(b->in.d[k][first]);
+        for (uint32_t g = 0; g < p->groups; g++)
+            if (wide_signs(wide_load(&b->in.d[k][first + 16 * g])) != (negative ? 0xffffu : 0)) return false;
+    }
+    uint32_t u = size[0] >= size[1] ? (size[0] >= size[2] ? 0 : 2) : size[1] >= size[2] ? 1 : 2, v = u == 0 ? 1 : 0, w = u == 2 ? 1 : 2;
+    y->axis[0] = u, y->axis[1] = v, y->axis[2] = w;
+    const bool back = y->negative >> u & 1;
+    const int32_t *side = back ? (lod ? r->root_low : r->low) : (lod ? r->root_high : r->high);
+    wide start = wide_set(0), end = start, steep = start;
+    for (uint32_t g = 0; g < p->groups; g++) {
+        uint32_t i = first + 16 * g;
+        wide o = wide_load(&b->in.o[u][i]), d = wide_load(&b->in.d[u][i]);
+        wide a = wide_add(o, wide_mul(d, wide_load(&b->in.t[i]))), z = wide_add(o, wide_mul(d, wide_load(&b->in.t_max[i])));
+        start = g == 0 ? a : back ? wide_max(start, a) : wide_min(start, a);
+        end = g == 0 ? z : back ? wide_min(end, z) : wide_max(end, z);
+        wide across = wide_max(wide_abs(wide_load(&b->in.d[v][i])), wide_abs(wide_load(&b->in.d[w][i])));
+        steep = wide_max(steep, wide_mul(across, wide_abs(wide_load(&b->in.inv[u][i]))));
+    }
+    if (!(wide_most(steep) <= 4)) return false;
+    y->from = back ? wide_most(start) : wide_least(start);
+    y->to = back ? fmax(wide_least(end), side[u]) : fmin(wide_most(end), side[u]);
+    if (!(back ? y->to <= y->from : y->from <= y->to)) y->to = y->from;
+    y->low = (int32_t)fmax(fmin(y->from, y->to), 0) - 1, y->high = (int32_t)fmin(fmax(y->from, y->to), 0x1p30) + 1;
+    wide limit[2] = {wide_set(0), wide_set(0)};
+    for (uint32_t g = 0; g < p->groups; g++) {
+        uint32_t i = first + 16 * g;
+        wide ou = wide_load(&b->in.o[u][i]), inv = wide_load(&b->in.inv[u][i]);
+        wide ov = wide_load(&b->in.o[v][i]), dv = wide_load(&b->in.d[v][i]), ow = wide_load(&b->in.o[w][i]), dw = wide_load(&b->in.d[w][i]);
+        for (int k = 0; k < 2; k++) {
+            wide t = wide_mul(wide_sub(wide_set(k == 0 ? y->from : y->to), ou), inv);
+            wide at_v = wide_add(ov, wide_mul(dv, t)), at_w = wide_add(ow, wide_mul(dw, t));
+            p->ends[g].v[k][0] = wide_least(at_v), p->ends[g].v[k][1] = wide_most(at_v);
+            p->ends[g].w[k][0] = wide_least(at_w), p->ends[g].w[k][1] = wide_most(at_w);
+            if (lod) limit[k] = wide_max(limit[k], wide_add(wide_mul(wide_load(&b->in.spread[i]), t), wide_load(&b->in.offset[i])));
+        }
+        uint32_t rest = count - 16 * g;
+        p->active[g] = rest >= 16 ? 0xffff : (1u << rest) - 1;
+        p->ready[g] = false;
+    }
+    join(p);
+    if (!(fmin(y->width, y->width + y->width_slope * fabs(y->to - y->from)) <= WIDEST * 0x1p30)) return false;
+    if (lod) {
+        double a = wide_most(limit[0]), z = wide_most(limit[1]), length = fabs(y->to - y->from);
+        y->limit = fmax(a, 0);
+        y->limit_slope = length > 0 ? fmax(0, z - a) / length : 0;
+        if (length == 0) y->limit = fmax(y->limit, z);
+    }
+    for (uint32_t i = 0; i < 3; i++) y->below[i] = below[y->axis[i]];
+    for (uint32_t i = 0; i < 4; i++) y->layers[i] = y->below[0][i + 1] & ~y->below[0][i];
+    return true;
+}
+
+/* ---- traversal --------------------------------------------------------------------------------------------------------- */
+
+typedef struct frame {
+    uint64_t cells; /* in the order of the rays: still to be visited */
+    uint64_t mask;
+    uint32_t unit, child; /* the node's, and that of its first child */
+    int32_t corner[3];
+} frame;
+
+/* From where the rays leave a node; before where they enter it. */
+INLINE double far_side(const way *y, const int32_t corner[3], uint32_t s)
+{
+    double u = corner[y->axis[0]];
+    double far = y->negative >> y->axis[0] & 1 ? fmin(y->from, fmax(y->to, u)) : fmax(y->from, fmin(y->to, u + (double)((uint32_t)1 << s)));
+    return fabs(far - y->from);
+}
+
+INLINE void corner_of(const int32_t corner[3], uint32_t cell, uint32_t s, int32_t out[3])
+{
+    out[0] = corner[0] + (int32_t)((cell & 3) << s);
+    out[1] = corner[1] + (int32_t)((cell >> 2 & 3) << s);
+    out[2] = corner[2] + (int32_t)((cell >> 4) << s);
+}
+
+INLINE void enter_node(packet *p, frame *f, uint32_t unit, const int32_t corner[3], uint32_t s)
+{
+    const uint64_t *node = p->r->units + unit;
+    f->mask = node[0];
+    f->child = (uint32_t)node[1];
+    f->unit = unit;
+    memcpy(f->corner, corner, sizeof f->corner);
+    f->cells = mirrored(touched(&p->y, &p->beam, corner, s) & f->mask, p->y.flip);
+}
+
+/* Rays that meet the node at `corner` with edge 2^s by the rule of svo_raycast.h go on alone from there, where its cells are those of `unit`.
+ * True if no ray is left. */
+static bool set_out(packet *p, const frame *stack, const int32_t corner[3], uint32_t s, uint32_t unit)
+{
+    svoi_ray_batch *b = p->b;
+    uint32_t before = 0, after = 0;
+    for (uint32_t g = 0; g < p->groups; g++) {
+        if (p->active[g] == 0) continue;
+        before++;
+        uint32_t i = p->first + 16 * g;
+        wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY), plane[3];
+        for (int k = 0; k < 3; k++) {
+            int32_t size = (int32_t)1 << s, forward = p->y.negative >> k & 1 ? 0 : size;
+            wide o = wide_load(&b->in.o[k][i]), inv = wide_load(&b->in.inv[k][i]);
+            plane[k] = wide_mul(wide_sub(wide_set(corner[k] + size - forward), o), inv);
+            in = wide_max(plane[k], in);
+            out = wide_min(wide_mul(wide_sub(wide_set(corner[k] + forward), o), inv), out);
+        }
+        uint32_t met = wide_less(in, out) & wide_at_most(in, wide_load(&b->in.t_max[i])) & p->active[g];
+        if (met != 0) {
+            int32_t side[3];
+            for (int k = 0; k < 3; k++) side[k] = corner[k] + (p->y.negative >> k & 1 ? ((int32_t)1 << s) - 1 : 0);
+            uint32_t to = b->starts;
+            start_rays(b, i, met, in, plane, side, (1 << p->r->fraction) - 1);
+            for (uint32_t k = 0; k < SVOI_RAYS_LEVELS; k++) {
+                if (p->r->fraction + 2 * k < s || k >= p->r->levels) continue;
+                uint32_t above = p->r->levels - 1 - k; /* frame of that level */
+                for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->stack[k][j], (int32_t)stack[above].unit);
+            }
+            for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->s[j], (int32_t)s - 2), wide_fill(&b->node[j], (int32_t)unit);
+        }
+        p->active[g] &= ~met;
+        after += p->active[g] != 0;
+    }
+    if (after != 0 && after != before) join(p);
+    return after == 0;
+}
+
+/* A narrow packet's rays against the voxels of a brick, 16 with a beam of their own at a time. True if no ray is left. */
+static bool visit_brick(packet *p, uint64_t brick, const int32_t corner[3])
+{
+    const uint32_t s = p->r->fraction;
+    svoi_ray_batch *b = p->b;
+    uint32_t before = 0, after = 0;
+    const uint64_t full = mirrored(brick, p->y.flip);
+    for (uint32_t g = 0; g < p->groups; g++) {
+        if (p->active[g] == 0) continue;
+        before++;
+        if (!p->ready[g]) make_beam(&p->y, &p->ends[g], &p->group[g]), p->ready[g] = true;
+        uint64_t cells = mirrored(touched(&p->y, &p->group[g], corner, s), p->y.flip) & full;
+        uint32_t i = p->first + 16 * g;
+        for (; cells != 0 && p->active[g] != 0; cells &= cells - 1) {
+            int32_t at[3];
+            corner_of(corner, (uint32_t)__builtin_ctzll(cells) ^ p->y.flip, s, at);
+            wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY);
+            for (int k = 0; k < 3; k++) {
+                int32_t size = (int32_t)1 << s, forward = p->y.negative >> k & 1 ? 0 : size;
+                wide o = wide_load(&b->in.o[k][i]), inv = wide_load(&b->in.inv[k][i]);
+                in = wide_max(wide_mul(wide_sub(wide_set(at[k] + size - forward), o), inv), in);
+                out = wide_min(wide_mul(wide_sub(wide_set(at[k] + forward), o), inv), out);
+            }
+            uint32_t hits = wide_less(in, out) & wide_at_most(in, wide_load(&b->in.t_max[i])) & p->active[g];
+            if (hits == 0) continue;
+            keep_found(b, i, hits, at, (int32_t)s + 1);
+            p->active[g] &= ~hits;
+        }
+        after += p->active[g] != 0;
+    }
+    if (after != 0 && after != before) join(p);
+    return after == 0;
+}
+
+INLINE void traverse(packet *p, bool lod)
+{
+    const svo_rays *r = p->r;
+    frame stack[SVOI_RAYS_LEVELS], *f = stack;
+    uint32_t s = SVOI_RAYS_BITS - 2;
+    enter_node(p, f, 0, (const int32_t[3]){0, 0, 0}, s);
+    for (;;) {
+        if (f->cells == 0) {
+            if (f == stack) return;
+            f--, s += 2;
+            continue;
+        }
+        uint32_t cell = (uint32_t)__builtin_ctzll(f->cells) ^ p->y.flip;
+        f->cells &= f->cells - 1;
+        int32_t at[3];
+        corner_of(f->corner, cell, s, at);
+        uint32_t rank = (uint32_t)__builtin_popcountll(f->mask & (((uint64_t)1 << cell) - 1));
+        uint32_t child = f->child + (s == r->fraction + 2 ? rank : 2 * rank);
+        double far = far_side(&p->y, at, s), least = (double)((uint32_t)1 << (s - 2));
+        bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > WIDE * least;
+        if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= least;
+        if (!alone) {
+            s -= 2;
+            f++;
+            enter_node(p, f, child, at, s);
+        } else if (s == r->fraction + 2 && p->y.width + p->y.width_slope * far <= NARROW * (double)((uint32_t)1 << r->fraction) &&
+                   !(lod && (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= (double)((uint32_t)2 << r->fraction))) {
+            if (visit_brick(p, r->units[child], at)) return;
+        } else if (set_out(p, stack, at, s, child)) return;
+    }
+}
+
+/* Trace rays first .. first + count of the batch, at most SVOI_RAYS_PACKET; false, and nothing done, where they do not go the same way. */
+static bool trace_packet(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    packet p;
+    if (r->levels < 2 || !make_packet(&p, r, lod, b, first, count)) return false;
+    /* a ray may stop at a cell of the root: nothing to share */
+    if (lod && (p.y.limit + p.y.limit_slope * fabs(p.y.to - p.y.from)) * 1.000001 + 1 >= (double)((uint32_t)1 << (SVOI_RAYS_BITS - 2))) return false;
+    if (lod) traverse(&p, true);
+    else traverse(&p, false);
+    return true;
+}
+
+#endif
