@@ -27,6 +27,8 @@ typedef struct dump_job {
     const char *voxels; /* PLY to write, or NULL */
     uint64_t limit;     /* voxels that --voxels may write */
     dump_export export;
+    bool has_tree, histogram;
+    uint64_t tree; /* the last level to list */
     const char *html;   /* page to write, or NULL */
     uint64_t html_size; /* its bytes at most */
     const char *source; /* .svo to hold a .svdag against, or NULL */
@@ -49,6 +51,8 @@ json_t *dump_violations(dump_job *j, svo_result first, const svo_error *err, uin
 json_t *dump_partial(dump_job *j, svo_result first, const svo_error *err);
 const char *dump_kind_text(uint32_t kind);
 
+/* Add the nodes down to a level, and histograms, to j->json. A .svo is packed in memory. */
+svo_result dump_inside(dump_job *j, svo_error *err);
 /* Write j->export.path. */
 svo_result dump_export_file(dump_job *j, svo_error *err);
 /* Write j->html: a page that draws the file. j->json is already filled, and shown on it. */

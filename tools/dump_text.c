@@ -116,15 +116,147 @@ static void print_matrix(const json_t *m)
     putchar('\n');
 }
 
+static void print_tree(const json_t *list, bool full)
+{
+    size_t i;
+    const json_t *e;
+    print_label("tree");
+    puts("level, cell, octants of children, kind, attribute, where it is stored");
+    json_array_foreach(list, i, e) {
+        const uint64_t level = count_of(e, "level"), mask = count_of(e, "mask");
+        const json_t *cell = json_object_get(e, "cell"), *slot = json_object_get(e, "slot");
+        printf("  %*s%" PRIu64 " (", (int)(2 * level), "", level);
+        print_value(cell);
+        printf(") ");
+        for (int o = 0; o < 8; o++) putchar(mask >> o & 1 ? '0' + o : '.');
+        printf(" %s #%" PRIu64, json_string_value(json_object_get(e, "kind")), count_of(e, "attribute"));
+        if (slot != NULL) printf(" @%" JSON_INTEGER_FORMAT, json_integer_value(slot));
+        if (json_object_get(e, "asset") != NULL) printf(" asset %" PRIu64, count_of(e, "asset"));
+        putchar('\n');
+    }
+    if (!full) puts("  ... and more; ask for a lower level");
+}
+
+static void print_bar(uint64_t n, uint64_t most)
+{
+    const int length = most != 0 ? (int)(40 * (double)n / (double)most + 0.5) : 0;
+    printf(" %14" PRIu64 " %.*s\n", n, length, "########################################");
+}
+
+static void print_histograms(const json_t *o)
+{
+    size_t i, k;
+    const json_t *level, *channel, *bin;
+    print_label("children");
+    printf("%5s %12s %12s   nodes with 1 .. 8 children\n", "level", "inner", "full leaves");
+    json_array_foreach(json_object_get(o, "levels"), i, level) {
+        printf("%21s%5" PRIu64 " %12" PRIu64 " %12" PRIu64 "  ", "", count_of(level, "level"), count_of(level, "inner"), count_of(level, "full_leaves"));
+        json_array_foreach(json_object_get(level, "nodes_with_1_to_8_children"), k, bin) printf(" %" JSON_INTEGER_FORMAT, json_integer_value(bin));
+        putchar('\n');
+    }
+    json_array_foreach(json_object_get(o, "channels"), i, channel) {
+        const json_t *bins = json_object_get(channel, "bins");
+        uint64_t most = 0;
+        printf("  voxels by %s\n", json_string_value(json_object_get(channel, "name")));
+        json_array_foreach(bins, k, bin) if (count_of(bin, "voxels") > most) most = count_of(bin, "voxels");
+        json_array_foreach(bins, k, bin) {
+            const json_t *value = json_object_get(bin, "value");
+            char label[24];
+            if (json_is_integer(value)) snprintf(label, sizeof label, "%" JSON_INTEGER_FORMAT, json_integer_value(value));
+            else snprintf(label, sizeof label, "%s", json_string_value(value));
+            printf("    %-16s", label);
+            print_bar(count_of(bin, "voxels"), most);
+        }
+    }
+}
+
+/* 188880 as "188,880", beyond a billion in words. */
+static void put_count(uint64_t n)
+{
+    char digits[24];
+    const int length = snprintf(digits, sizeof digits, "%" PRIu64, n);
+    for (int i = 0; i < length; i++) {
+        if (i != 0 && (length - i) % 3 == 0) putchar(',');
+        putchar(digits[i]);
+    }
+}
+
+static void put_bytes(uint64_t n)
+{
+    if (n < 10000) printf("%" PRIu64 " bytes", n);
+    else if (n < 10000000) printf("%.0f kB", (double)n / 1e3);
+    else if (n < 10000000000u) printf("%.1f MB", (double)n / 1e6);
+    else printf("%.1f GB", (double)n / 1e9);
+}
+
+/* The file in three lines, before all else. */
+static void print_gist(const json_t *o)
+{
+    const char *format = json_string_value(json_object_get(o, "format"));
+    const json_t *levels = json_object_get(o, "levels"), *size = json_object_get(o, "voxel_size"), *attributes = json_object_get(o, "attributes"), *a;
+    const json_t *made = json_object_get(o, "provenance"), *input = json_array_get(json_object_get(made, "inputs"), 0);
+    size_t i;
+    printf("  = ");
+    if (json_object_get(o, "joint_count") != NULL) {
+        printf("skeleton of %" PRIu64 " joints and %" PRIu64 " bones, omega %.4g", count_of(o, "joint_count"), count_of(o, "bone_count"), json_number_value(json_object_get(o, "omega")));
+    } else if (json_object_get(o, "instance_count") != NULL) {
+        printf("scene of ");
+        put_count(count_of(o, "instance_count"));
+        printf(" instances of %" PRIu64 " assets: ", count_of(o, "asset_count"));
+        put_count(count_of(o, "voxels"));
+        printf(" voxels stored, ");
+        put_count(count_of(o, "instanced_voxels"));
+        printf(" placed");
+    } else {
+        printf("octree of depth %" PRIu64 ", ", count_of(o, "depth"));
+        put_count(count_of(o, "voxels"));
+        printf(" voxels");
+        if (json_is_array(size)) printf(" of %.4g", json_number_value(json_array_get(size, 0)));
+        if (strcmp(format, "svdag") == 0 && json_object_get(o, "stored_nodes") != NULL) {
+            printf(", ");
+            put_count(count_of(o, "nodes"));
+            printf(" nodes in ");
+            put_count(count_of(o, "stored_nodes") + count_of(o, "stored_bricks"));
+            printf(" stored");
+        }
+    }
+    printf("; ");
+    put_bytes(count_of(o, "bytes"));
+    if (json_is_real(json_object_get(o, "bytes_per_voxel"))) printf(", %.3g a voxel", json_real_value(json_object_get(o, "bytes_per_voxel")));
+    putchar('\n');
+    if (json_array_size(levels) != 0) {
+        printf("  = ");
+        if (json_array_size(attributes) == 0) printf("no attributes");
+        json_array_foreach(attributes, i, a)
+            printf("%s%s%s", i != 0 ? ", " : "attributes ", json_string_value(json_object_get(a, "name")), json_is_true(json_object_get(a, "constant")) ? " (one value)" : "");
+        putchar('\n');
+    }
+    while (json_is_object(json_object_get(input, "provenance")) && json_array_size(json_object_get(json_object_get(input, "provenance"), "inputs")) != 0)
+        input = json_array_get(json_object_get(json_object_get(input, "provenance"), "inputs"), 0);
+    if (json_is_string(json_object_get(made, "tool"))) {
+        printf("  = made by %s", json_string_value(json_object_get(made, "tool")));
+        if (json_is_string(json_object_get(input, "name"))) printf(", from %s", json_string_value(json_object_get(input, "name")));
+        putchar('\n');
+    }
+}
+
 void dump_print(const dump_job *j)
 {
     const char *key;
     json_t *v;
     printf("%s\n", json_string_value(json_object_get(j->json, "file")));
+    if (!json_is_true(json_object_get(j->json, "damaged"))) print_gist(j->json);
     bool skeleton = json_object_get(j->json, "joint_count") != NULL; /* has keys without meaning, for the sake of one form of JSON */
     json_object_foreach(j->json, key, v) {
         if (strcmp(key, "file") == 0 || (skeleton && (json_is_null(v) || (json_is_array(v) && json_array_size(v) == 0)))) continue;
-        if (strcmp(key, "sections") == 0) {
+        if (strcmp(key, "tree_listed_in_full") == 0) continue;
+        if (strcmp(key, "tree") == 0) {
+            print_tree(v, json_is_true(json_object_get(j->json, "tree_listed_in_full")));
+        } else if (strcmp(key, "histograms") == 0) {
+            print_histograms(v);
+        } else if (json_is_null(v)) {
+            continue; /* a scene has no voxel_to_world of its own, say */
+        } else if (strcmp(key, "sections") == 0) {
             print_sections(v, (double)j->size);
         } else if (strcmp(key, "levels") == 0) {
             print_levels(v);

@@ -21,6 +21,7 @@ static svo_result dump_kind(dump_job *j, svo_error *err)
 static svo_result dump_bytes(dump_job *j, svo_error *err)
 {
     SVO_TRY(dump_kind(j, err));
+    if (j->has_tree || j->histogram) SVO_TRY(dump_inside(j, err));
     if (j->export.path != NULL) SVO_TRY(dump_export_file(j, err));
     return j->html != NULL ? dump_html(j, err) : SVO_OK;
 }
@@ -76,7 +77,7 @@ static void print_messages(const dump_job *j, const json_t *messages, uint64_t s
     if (suppressed != 0) fprintf(stderr, "%s: error: %.100s: %llu more\n", j->c->tool->name, j->path, (unsigned long long)suppressed);
 }
 
-typedef struct dump_options { bool json, validate, quick, partial, table; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
+typedef struct dump_options { bool json, validate, quick, partial, table, has_tree, histogram; uint64_t tree; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
 
 /* All files; the first failure is returned, further ones are printed. Text is printed file by file, JSON at the end. */
 static svo_result run(cli *c, const dump_options *o, svo_error *err)
@@ -92,7 +93,7 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
         svo_error e = {0};
         dump_job j = {.c = c, .path = c->inputs[i], .allocator = &limit.base, .quick = o->quick && !o->validate && o->voxels == NULL,
                       .voxels = o->voxels, .limit = o->limit, .source = o->source, .html = o->html, .html_size = o->html_size,
-                      .export = o->export, .json = json_object()};
+                      .export = o->export, .has_tree = o->has_tree, .histogram = o->histogram, .tree = o->tree, .json = json_object()};
         j.export.rgba = o->volume == 1;
         j.export.limit = o->limit;
         json_t *messages = NULL;
@@ -132,11 +133,14 @@ int main(int argc, char **argv)
         {.name = "validate", .kind = CLI_FLAG, .value = &o.validate, .help = "Check every rule of the format and print a verdict instead of a summary: everything that is wrong, with the rule's id."},
         {.name = "partial", .kind = CLI_FLAG, .value = &o.partial, .help = "Of a damaged file, print what can be read and where the damage is (exit code 3 all the same)."},
         {.name = "table", .kind = CLI_FLAG, .value = &o.table, .help = "Print one line a file."},
+        {.name = "tree", .kind = CLI_U64, .value = &o.tree, .argument = "LEVEL", .max = SVO_MAX_DEPTH, .seen = &o.has_tree, .no_default = true,
+         .help = "List the nodes from the root to this level: cell, kind, mask of children, number of its attribute, where it is stored."},
+        {.name = "histogram", .kind = CLI_FLAG, .value = &o.histogram, .help = "Count nodes by level and number of children, and voxels by the values of each channel."},
         {.name = "source", .kind = CLI_TEXT, .value = &o.source, .argument = "SRC.svo", .no_default = true,
          .help = "With --validate of a .svdag: hold it against the octree it was made from: voxels, attributes and the error bounds it promises."},
         {.name = "voxels", .kind = CLI_TEXT, .value = &o.voxels, .argument = "OUT.ply", .no_default = true,
          .help = "Write every finest voxel to a binary PLY point cloud; - is stdout, then nothing else is printed."},
-        {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels and --export write."},
+        {.name = "limit", .kind = CLI_U64, .value = &o.limit, .argument = "N", .help = "Most voxels that --voxels and --export write, and most nodes that --histogram visits."},
         {.name = "export", .kind = CLI_TEXT, .value = &o.export.path, .argument = "OUT", .no_default = true, .group = "Export",
          .help = "Write the voxels for other programs, by the ending of OUT: .ply or .glb (mesh of their faces), .vox, .nrrd, .raw, .vdb, .nvdb."},
         {.name = "level", .kind = CLI_U64, .value = &o.export.level, .argument = "L", .max = SVO_MAX_DEPTH, .seen = &o.export.has_level, .no_default = true, .group = "Export",
@@ -173,6 +177,7 @@ int main(int argc, char **argv)
     if (o.voxels != NULL && c.input_count != 1) return cli_usage(&c, "--voxels takes one FILE");
     if (o.voxels != NULL && o.validate) return cli_usage(&c, "--voxels and --validate exclude each other (--voxels validates as well)");
     if (o.table && (o.json || o.validate)) return cli_usage(&c, "--table excludes --json and --validate");
+    if ((o.has_tree || o.histogram) && (o.table || o.validate)) return cli_usage(&c, "--tree and --histogram exclude --table and --validate");
     if (o.partial && o.validate) return cli_usage(&c, "--partial and --validate exclude each other (--validate names every damage)");
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");

@@ -57,6 +57,61 @@ def test_schema(folder):
         check(schema.check({k: v for k, v in good.items() if k != key}, SCHEMA) != [], key)
 
 
+def test_tree_and_histograms(folder):
+    """Against the voxels themselves: masks of every node, children counted, values counted."""
+    made = files(folder)
+    run("svo-voxelize", folder / "a.glb", "-o", folder / "t.svo", "--depth", 1)
+    run("svo-voxelize", folder / "a.glb", "-o", folder / "d.svo", "--depth", 5)
+    run("svo-compress", folder / "d.svo", "-o", folder / "d.svdag")
+    run("svo-compress", folder / "d.svo", "-o", folder / "plain.svdag", "--geometry", "svdag", "--lod", "none")
+    for f in ("t.svo", "d.svo", "d.svdag", "plain.svdag", "s.svo", "s.svdag"):
+        run("svo-dump", folder / f, "--voxels", folder / "v.ply", "-f", "-q")
+        c = support.read_ply(folder / "v.ply")
+        voxels = list(zip(c["vx"], c["vy"], c["vz"]))
+        j = run("svo-dump", folder / f, "--json", "--tree", 21, "--histogram").json
+        check(schema.check(j, SCHEMA) == [], (f, schema.check(j, SCHEMA)[:3]))
+        depth, cells = j["depth"], {}
+        for level in range(j["depth"] + 1):
+            for v in voxels:
+                cells.setdefault((level,) + tuple(x >> depth - level for x in v), set()).add(tuple(x >> depth - level - 1 & 1 for x in v) if level < depth else ())
+        mask = lambda octants: sum(1 << (o[0] + 2 * o[1] + 4 * o[2]) for o in octants if o)
+        listed = {(n["level"],) + tuple(n["cell"]): n for n in j["tree"]}
+        full = [n for n in j["tree"] if n["kind"] == "full"]
+        inside = lambda key: any(n["level"] < key[0] and all(key[1 + k] >> key[0] - n["level"] == n["cell"][k] for k in range(3)) for n in full)
+        check(j["tree_listed_in_full"] == (len(j["tree"]) < 10000))
+        if j["tree_listed_in_full"]:
+            check(set(listed) == {k for k in cells if not full or not inside(k)}, f)
+        for key, n in listed.items():
+            check(n["kind"] == "full" or (n["mask"] == mask(cells[key]) and n["children"] == len([o for o in cells[key] if o])), n)
+        levels = j["histograms"]["levels"]
+        for level in range(depth):
+            if full:
+                break
+            counts = [0] * 8
+            for key, octants in cells.items():
+                if key[0] == level:
+                    counts[len(octants) - 1] += 1
+            check(levels[level]["nodes_with_1_to_8_children"] == counts and levels[level]["full_leaves"] == 0 and levels[level]["inner"] == j["levels"][level]["nodes"], (f, level))
+        check(sum(l["full_leaves"] for l in levels) >= len(full))
+        for channel in j["histograms"]["channels"]:
+            bins = {b["value"]: b["voxels"] for b in channel["bins"]}
+            check(sum(bins.values()) == j["voxels"], (f, channel))
+            if channel["name"] == "normal":
+                wanted = {}
+                for n in zip(c["nx"], c["ny"], c["nz"]):
+                    k = max(range(3), key=lambda i: abs(n[i]))
+                    if sorted(map(abs, n))[2] - sorted(map(abs, n))[1] > 1e-4:
+                        wanted["-+"[n[k] > 0] + "xyz"[k]] = wanted.get("-+"[n[k] > 0] + "xyz"[k], 0) + 1
+                check(all(bins[k] >= v for k, v in wanted.items()), (bins, wanted))
+    text = run("svo-dump", folder / "x.svscene", "--tree", 1, "--histogram").text
+    check("asset 1" in text and "voxels by normal" in text and text.split("\n")[1].startswith("  = scene of 3 instances of 2 assets"), text[:400])
+    check(schema.check(run("svo-dump", folder / "x.svscene", "--json", "--tree", 2, "--histogram").json, SCHEMA) == [])
+    for f, start in (("d.svo", "  = octree of depth 5, "), ("d.svdag", "  = octree of depth 5, "), ("ball.skel", "  = skeleton of ")):
+        check(run("svo-dump", folder / f).text.split("\n")[1].startswith(start), run("svo-dump", folder / f).text[:200])
+    for code, more in ((5, [folder / "ball.skel", "--tree", 1]), (6, [folder / "d.svo", "--histogram", "--limit", 10]), (1, [folder / "d.svo", "--tree", 22]), (1, [folder / "d.svo", "--tree", 1, "--validate"])):
+        check(tool("svo-dump", *more).code == code, more)
+
+
 def test_every_damaged_chunk_is_named(folder):
     for f in files(folder):
         data = bytearray(f.read_bytes())
