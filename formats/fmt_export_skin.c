@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "fmti_draco.h"
 #include "fmti_glb.h"
 #include "fmt_skel.h"
 
@@ -16,6 +17,8 @@ typedef struct skinned {
     const skel_skin *skin;
     double middle[3];
     uint64_t dropped; /* triangles with a corner that is not finite */
+    uint32_t draco;   /* bits of positions; 0: plain arrays, weights as 32-bit floats */
+    fmt_draco_report report;
 } skinned;
 
 static void find_middle(skinned *k)
@@ -89,6 +92,54 @@ static void put_colors(skinned *k, const svo_part *part, json_t *attributes)
     json_object_set_new(attributes, "COLOR_0", json_integer((json_int_t)accessor));
 }
 
+/* How many sets of texture coordinates a part is written with: those that it has and those that its material looks at, from 0 on without gaps. */
+static uint32_t uv_sets(const skinned *k, const svo_part *part)
+{
+    uint32_t n = 0;
+    for (uint32_t i = 0; i < SVO_MAX_UV_SETS; i++)
+        if (part->uvs[i] != NULL) n = i + 1;
+    if (part->material == SVO_NONE) return n;
+    const svo_material *m = &k->mesh->materials[part->material];
+    const svo_texture *const all[] = {&m->base_color_texture, &m->emissive_texture, &m->metallic_roughness_texture};
+    for (int i = 0; i < 3; i++)
+        if (all[i]->image != SVO_NONE && all[i]->uv_set >= n) n = all[i]->uv_set + 1;
+    return n;
+}
+
+static void put_uvs(skinned *k, const svo_part *part, uint32_t set, json_t *attributes)
+{
+    uint64_t accessor;
+    char name[16];
+    const float *uv = part->uvs[set];
+    uint8_t *p = fmt_glb_array(&k->g, part->vertex_count, 8, GLB_F32, "VEC2", GLB_ARRAY_BUFFER, &accessor);
+    for (uint64_t i = 0; p != NULL && uv != NULL && i < 2 * part->vertex_count; i++) fmt_glb_put_f32(p + 4 * i, isfinite(uv[i]) ? uv[i] : 0);
+    snprintf(name, sizeof name, "TEXCOORD_%u", set);
+    json_object_set_new(attributes, name, json_integer((json_int_t)accessor));
+}
+
+/* A vertex's weights in steps of 1/255 that add up to 1, and none of them a step away from what it is: the largest remainders are rounded up. */
+static void weights_in_bytes(skinned *k, uint64_t vertex, uint8_t out[SKEL_MAX_INFLUENCES])
+{
+    const uint32_t per = k->skin->influences;
+    const float *w = k->skin->weight + vertex * per;
+    double rest[SKEL_MAX_INFLUENCES];
+    int left = 255;
+    for (uint32_t i = 0; i < per; i++) {
+        double x = 255.0 * (double)w[i];
+        out[i] = (uint8_t)fmin(255, floor(x));
+        rest[i] = x - out[i];
+        left -= out[i];
+    }
+    for (; left > 0; left--) {
+        uint32_t best = 0;
+        for (uint32_t i = 1; i < per; i++)
+            if (rest[i] > rest[best]) best = i;
+        out[best]++;
+        rest[best] -= 1;
+    }
+    for (uint32_t i = 0; i < per; i++) k->report.weight_error = fmax(k->report.weight_error, fabs(out[i] / 255.0 - (double)w[i]));
+}
+
 /* Influences 4 set .. 4 set + 3 of each vertex; base: number of the part's first vertex in the map. */
 static void put_influences(skinned *k, const svo_part *part, uint64_t base, uint32_t set, json_t *attributes)
 {
@@ -100,8 +151,13 @@ static void put_influences(skinned *k, const svo_part *part, uint64_t base, uint
         uint64_t at = 4 * set + i % 4;
         fmt_store16(p, at < per ? (uint16_t)k->skin->joint[(base + i / 4) * per + at] : 0);
     }
-    p = fmt_glb_array(&k->g, n, 16, GLB_F32, "VEC4", GLB_ARRAY_BUFFER, &weights);
-    for (uint64_t i = 0; p != NULL && i < 4 * n; i++, p += 4) {
+    p = k->draco > 0 ? fmt_glb_array(&k->g, n, 4, GLB_U8, "VEC4", GLB_ARRAY_BUFFER, &weights) : fmt_glb_array(&k->g, n, 16, GLB_F32, "VEC4", GLB_ARRAY_BUFFER, &weights);
+    for (uint64_t v = 0; p != NULL && k->draco > 0 && v < n; v++) {
+        uint8_t w[SKEL_MAX_INFLUENCES];
+        weights_in_bytes(k, base + v, w);
+        for (uint64_t i = 0; i < 4; i++) p[4 * v + i] = 4 * set + i < per ? w[4 * set + i] : 0;
+    }
+    for (uint64_t i = 0; p != NULL && k->draco == 0 && i < 4 * n; i++, p += 4) {
         uint64_t at = 4 * set + i % 4;
         fmt_glb_put_f32(p, at < per ? k->skin->weight[(base + i / 4) * per + at] : 0);
     }
@@ -139,52 +195,132 @@ static bool put_indices(skinned *k, const svo_part *part, const svo_mat4 *m, uin
     return true;
 }
 
-static json_t *primitives(skinned *k)
+static json_t *primitive(skinned *k, const svo_part *part, const svo_mat4 *m, uint64_t base)
 {
-    json_t *list = json_array();
-    uint64_t base = 0, indices;
+    uint64_t indices;
+    if (!put_indices(k, part, m, &indices)) return NULL;
+    json_t *attributes = json_object();
+    put_positions(k, part, m, attributes);
+    put_normals(k, part, m, attributes);
+    put_colors(k, part, attributes);
+    for (uint32_t set = 0, n = uv_sets(k, part); set < n; set++) put_uvs(k, part, set, attributes);
+    for (uint32_t set = 0; 4 * set < k->skin->influences; set++) put_influences(k, part, base, set, attributes);
+    json_t *p = json_pack("{s:o,s:I}", "attributes", attributes, "indices", (json_int_t)indices);
+    if (p != NULL && part->material != SVO_NONE) json_object_set_new(p, "material", json_integer(part->material));
+    k->g.failed |= p == NULL;
+    return p;
+}
+
+/* --- Draco ---------------------------------------------------------------------------------------------------------- */
+
+static json_int_t number_of(const json_t *o, const char *name) { return json_integer_value(json_object_get(o, name)); }
+
+/* An attribute as it lies in the plain file. */
+static fmt_draco_attribute plain_attribute(const fmt_glb *g, const char *name, json_int_t accessor, uint32_t bits)
+{
+    static const struct { const char *name; fmt_draco_kind kind; uint32_t bits; } kinds[] = {
+        {"POSITION", FMT_DRACO_POSITION, 0}, {"NORMAL", FMT_DRACO_NORMAL, 10}, {"COLOR", FMT_DRACO_COLOR, 10}, {"TEXCOORD", FMT_DRACO_TEXCOORD, 12}};
+    const json_t *a = json_array_get(g->accessors, (size_t)accessor), *view = json_array_get(g->views, (size_t)number_of(a, "bufferView"));
+    const char *type = json_string_value(json_object_get(a, "type"));
+    json_int_t component = number_of(a, "componentType");
+    fmt_draco_attribute out = {.kind = FMT_DRACO_GENERIC, .components = (uint32_t)(type[3] - '0'), .values = g->bytes.data + number_of(view, "byteOffset"),
+                               .type = component == GLB_F32 ? FMT_DRACO_F32 : component == GLB_U16 ? FMT_DRACO_U16 : FMT_DRACO_U8};
+    for (int i = 0; i < 4; i++) {
+        if (strncmp(name, kinds[i].name, strlen(kinds[i].name)) != 0) continue;
+        out.kind = kinds[i].kind;
+        out.bits = kinds[i].bits == 0 || (kinds[i].kind == FMT_DRACO_TEXCOORD && bits > 12) ? bits : kinds[i].bits;
+    }
+    return out;
+}
+
+static void count_errors(skinned *k, const fmt_draco_arrays *mesh)
+{
+    fmt_draco_report *r = &k->report;
+    r->measured &= mesh->measured;
+    for (uint32_t i = 0; i < mesh->attribute_count; i++) {
+        const fmt_draco_attribute *a = &mesh->attribute[i];
+        double *to = a->kind == FMT_DRACO_POSITION ? &r->position_error : a->kind == FMT_DRACO_NORMAL ? &r->normal_error : a->kind == FMT_DRACO_COLOR ? &r->color_error : &r->uv_error;
+        if (a->kind != FMT_DRACO_GENERIC) *to = fmax(*to, a->error);
+    }
+}
+
+/* The primitive p of the plain file `from`, compressed, into k->g. */
+static svo_result compress(skinned *k, const fmt_glb *from, json_t *p, svo_error *err)
+{
+    fmt_draco_arrays mesh = {.measured = false};
+    json_t *attributes = json_object_get(p, "attributes"), *ids = json_object(), *value;
+    const json_t *indices = json_array_get(from->accessors, (size_t)number_of(p, "indices"));
+    const json_t *index_view = json_array_get(from->views, (size_t)number_of(indices, "bufferView"));
+    const char *name;
+    svo_buffer bytes;
+    uint64_t view;
+    mesh.corner = (const uint32_t *)(const void *)(from->bytes.data + number_of(index_view, "byteOffset"));
+    mesh.triangles = (uint64_t)number_of(indices, "count") / 3;
+    json_object_foreach(attributes, name, value) {
+        if (mesh.attribute_count == FMT_DRACO_ATTRIBUTES) break;
+        mesh.vertices = (uint64_t)number_of(json_array_get(from->accessors, (size_t)json_integer_value(value)), "count");
+        json_object_set_new(ids, name, json_integer(mesh.attribute_count));
+        mesh.attribute[mesh.attribute_count++] = plain_attribute(from, name, json_integer_value(value), k->draco);
+    }
+    svo_buffer_init(&bytes, k->s->allocator);
+    svo_result r = fmt_draco_pack(&mesh, &bytes, err);
+    if (r == SVO_OK && fmt_glb_view(&k->g, bytes.data, bytes.size, &view)) {
+        k->report.plain_bytes += from->bytes.size;
+        k->report.bytes += bytes.size;
+        count_errors(k, &mesh);
+        json_object_foreach(attributes, name, value) {
+            const json_t *a = json_array_get(from->accessors, (size_t)json_integer_value(value));
+            const fmt_draco_attribute *d = &mesh.attribute[number_of(ids, name)];
+            uint64_t accessor = fmt_glb_accessor(&k->g, mesh.decoded_vertices, (int)number_of(a, "componentType"), json_string_value(json_object_get(a, "type")), d->type == FMT_DRACO_U8);
+            float low[4], high[4];
+            for (int e = 0; e < 4; e++) {
+                low[e] = (float)d->low[e];
+                high[e] = (float)d->high[e];
+            }
+            if (d->kind == FMT_DRACO_POSITION) fmt_glb_bounds(&k->g, accessor, low, high, 3);
+            json_integer_set(value, (json_int_t)accessor);
+        }
+        json_object_set_new(p, "indices", json_integer((json_int_t)fmt_glb_accessor(&k->g, 3 * mesh.decoded_triangles, GLB_U32, "SCALAR", false)));
+        json_object_set_new(p, "extensions", json_pack("{s:{s:I,s:O}}", "KHR_draco_mesh_compression", "bufferView", (json_int_t)view, "attributes", ids));
+    }
+    json_decref(ids);
+    svo_buffer_free(&bytes);
+    return r;
+}
+
+/* A primitive is made in a file of its own, and what is in that is compressed. */
+static svo_result compressed_primitive(skinned *k, const svo_part *part, const svo_mat4 *m, uint64_t base, json_t **out, svo_error *err)
+{
+    fmt_glb whole = k->g, plain;
+    fmt_glb_begin(&k->g, k->s->allocator);
+    *out = primitive(k, part, m, base);
+    plain = k->g;
+    k->g = whole;
+    k->g.failed |= plain.failed;
+    svo_result r = *out != NULL && !k->g.failed ? compress(k, &plain, *out, err) : SVO_OK;
+    fmt_glb_end(&plain);
+    return r;
+}
+
+static svo_result primitives(skinned *k, json_t *list, svo_error *err)
+{
+    uint64_t base = 0;
     for (uint32_t i = 0; i < k->mesh->instance_count; i++) {
         const svo_instance *in = &k->mesh->instances[i];
         const svo_shape *shape = &k->mesh->shapes[in->shape];
         for (uint32_t n = 0; n < shape->part_count; n++) {
             const svo_part *part = &shape->parts[n];
-            if (put_indices(k, part, &in->transform, &indices)) {
-                json_t *attributes = json_object();
-                put_positions(k, part, &in->transform, attributes);
-                put_normals(k, part, &in->transform, attributes);
-                put_colors(k, part, attributes);
-                for (uint32_t set = 0; 4 * set < k->skin->influences; set++) put_influences(k, part, base, set, attributes);
-                json_t *p = json_pack("{s:o,s:I}", "attributes", attributes, "indices", (json_int_t)indices);
-                if (p != NULL && part->material != SVO_NONE) json_object_set_new(p, "material", json_integer(part->material));
-                k->g.failed |= json_array_append_new(list, p) != 0;
-            }
+            json_t *p = NULL;
+            if (k->draco > 0) SVO_TRY(compressed_primitive(k, part, &in->transform, base, &p, err));
+            else p = primitive(k, part, &in->transform, base);
+            if (p != NULL) k->g.failed |= json_array_append_new(list, p) != 0;
             base += part->vertex_count;
         }
     }
-    return list;
+    return SVO_OK;
 }
 
-/* --- nodes, skin, materials ------------------------------------------------------------------------------------------ */
-
-static json_t *materials(const svo_mesh *mesh)
-{
-    static const char *const modes[] = {"OPAQUE", "MASK", "BLEND"};
-    json_t *list = json_array();
-    for (uint32_t i = 0; i < mesh->material_count; i++) {
-        const svo_material *m = &mesh->materials[i];
-        double base[4], emissive[3];
-        for (int e = 0; e < 4; e++) base[e] = clamped(m->base_color[e]);
-        for (int e = 0; e < 3; e++) emissive[e] = clamped(m->emissive[e]);
-        json_t *o = json_pack("{s:{s:o,s:f,s:f},s:o,s:s,s:b}", "pbrMetallicRoughness", "baseColorFactor", fmt_glb_vector(base, 4), "metallicFactor",
-                              (double)clamped(m->metallic), "roughnessFactor", (double)clamped(m->roughness), "emissiveFactor", fmt_glb_vector(emissive, 3), "alphaMode",
-                              modes[m->alpha_mode], "doubleSided", (int)m->double_sided);
-        json_t *name = m->name != NULL ? json_string(m->name) : NULL; /* NULL where it is not UTF-8 */
-        if (o != NULL && name != NULL) json_object_set_new(o, "name", name);
-        if (o != NULL && m->alpha_mode == SVO_ALPHA_MASK && m->alpha_cutoff >= 0) json_object_set_new(o, "alphaCutoff", json_real(m->alpha_cutoff));
-        json_array_append_new(list, o);
-    }
-    return list;
-}
+/* --- nodes, skin ------------------------------------------------------------------------------------------ */
 
 /* Node 0 holds all roots, joint j is node j + 1, the mesh is the last one. */
 static json_t *nodes(skinned *k)
@@ -230,24 +366,26 @@ static json_t *skin(skinned *k)
     return json_pack("[{s:s,s:I,s:i,s:o}]", "name", "skeleton", "inverseBindMatrices", (json_int_t)accessor, "skeleton", 0, "joints", joints);
 }
 
-svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, const skel_skin *weights,
-                                  svo_warnings *warnings, svo_error *err)
+svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, const skel_skin *weights, uint32_t draco_bits,
+                                  fmt_draco_report *report, svo_warnings *warnings, svo_error *err)
 {
     if (s->joint_count > UINT16_MAX) return svo_fail(err, SVO_LIMIT, "a glTF skin takes 65535 joints, the skeleton has %u; use a larger omega", s->joint_count);
-    skinned k = {.mesh = mesh, .s = s, .tree = tree, .skin = weights};
+    if (draco_bits > 24) return svo_fail(err, SVO_INVALID_ARGUMENT, "Draco takes positions of at most 24 bits here, not %u", draco_bits);
+    skinned k = {.mesh = mesh, .s = s, .tree = tree, .skin = weights, .draco = draco_bits, .report.measured = true};
     fmt_glb_begin(&k.g, s->allocator);
     find_middle(&k);
-    json_t *list = primitives(&k);
-    svo_result r = SVO_OK;
-    if (!k.g.failed && json_array_size(list) == 0) r = svo_fail(err, SVO_LIMIT, "no triangle of the model fits the 32-bit floats of glTF");
+    json_t *list = json_array();
+    svo_result r = primitives(&k, list, err);
+    if (r == SVO_OK && !k.g.failed && json_array_size(list) == 0) r = svo_fail(err, SVO_LIMIT, "no triangle of the model fits the 32-bit floats of glTF");
     json_t *rest = json_pack("{s:i,s:[{s:[i,I]}],s:o,s:[{s:s,s:o}],s:o}", "scene", 0, "scenes", "nodes", 0, (json_int_t)s->joint_count + 1, "nodes", nodes(&k), "meshes",
                              "name", "skin", "primitives", list, "skins", skin(&k));
     k.g.failed |= rest == NULL || json_object_update_missing(k.g.root, rest) != 0;
     json_decref(rest);
-    if (!k.g.failed && mesh->material_count > 0) json_object_set_new(k.g.root, "materials", materials(mesh));
+    if (draco_bits > 0) fmt_glb_extension(&k.g, "KHR_draco_mesh_compression", true);
+    if (r == SVO_OK && !k.g.failed) r = fmt_glb_materials(&k.g, mesh, warnings, err);
     if (r == SVO_OK) r = fmt_glb_write(&k.g, out, err);
     fmt_glb_end(&k.g);
-    if (r == SVO_OK && mesh->image_count > 0) svo_warn(warnings, "the skinned .glb holds the materials' factors, not their textures");
+    if (report != NULL) *report = k.report;
     if (r == SVO_OK && k.dropped > 0) svo_warn(warnings, "%llu triangles with corners that are not finite are not in the .glb", (unsigned long long)k.dropped);
     return r;
 }

@@ -30,6 +30,41 @@ uint8_t *fmt_glb_array(fmt_glb *g, uint64_t count, uint32_t stride, int componen
     return g->failed ? NULL : p;
 }
 
+bool fmt_glb_view(fmt_glb *g, const void *bytes, uint64_t size, uint64_t *view)
+{
+    static const uint8_t zero[4] = {0};
+    size_t offset = g->bytes.size;
+    *view = json_array_size(g->views);
+    if (g->failed || size > UINT32_MAX - (1u << 24) - offset || svo_buffer_append(&g->bytes, bytes, size) == NULL ||
+        (size % 4 != 0 && svo_buffer_append(&g->bytes, zero, 4 - size % 4) == NULL)) {
+        g->failed = true;
+        return false;
+    }
+    g->failed = json_array_append_new(g->views, json_pack("{s:i,s:I,s:I}", "buffer", 0, "byteOffset", (json_int_t)offset, "byteLength", (json_int_t)size)) != 0;
+    return !g->failed;
+}
+
+uint64_t fmt_glb_accessor(fmt_glb *g, uint64_t count, int component, const char *type, bool normalized)
+{
+    json_t *a = json_pack("{s:i,s:I,s:s}", "componentType", component, "count", (json_int_t)count, "type", type);
+    if (a != NULL && normalized) json_object_set_new(a, "normalized", json_true());
+    uint64_t at = json_array_size(g->accessors);
+    g->failed |= json_array_append_new(g->accessors, a) != 0;
+    return at;
+}
+
+void fmt_glb_extension(fmt_glb *g, const char *name, bool required)
+{
+    static const char *const lists[] = {"extensionsUsed", "extensionsRequired"};
+    for (int i = 0; i < (required ? 2 : 1); i++) {
+        json_t *list = json_object_get(g->root, lists[i]);
+        if (list == NULL && (list = json_array()) != NULL) json_object_set_new(g->root, lists[i], list);
+        bool there = false;
+        for (size_t k = 0; k < json_array_size(list); k++) there |= strcmp(json_string_value(json_array_get(list, k)), name) == 0;
+        if (!there) g->failed |= json_array_append_new(list, json_string(name)) != 0;
+    }
+}
+
 void fmt_glb_bounds(fmt_glb *g, uint64_t accessor, const float *low, const float *high, int n)
 {
     json_t *a = json_array_get(g->accessors, accessor);

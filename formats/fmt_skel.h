@@ -28,11 +28,22 @@ svo_result fmt_export_skel_obj(fmt_output *out, const skel_skeleton *s, svo_erro
  * translation, so that a large offset costs no precision), and one of mode POINTS for joints without bones. */
 svo_result fmt_export_skel_glb(fmt_output *out, const skel_skeleton *s, svo_error *err);
 
+/* What Draco made of a mesh. */
+typedef struct fmt_draco_report {
+    uint64_t plain_bytes, bytes; /* of vertices and triangles, before (weights in 4 bytes) and after */
+    bool measured; /* errors but the weights' were measured on what is decoded; else they are what the quantization allows */
+    double position_error; /* largest distance, in the model's coordinates */
+    double normal_error;   /* degrees */
+    double uv_error, color_error, weight_error; /* largest difference of a number */
+} fmt_draco_report;
+
 /* The mesh with its skeleton as skinned binary glTF 2.0: joints are nodes joint_0, joint_1 ... in the trees of `tree` (each with its radius in extras) below
- * one node "skeleton"; inverse bind matrices; JOINTS_0 and WEIGHTS_0 (and _1 for more than 4 influences). Instances are placed in the world. Normals,
- * vertex colours and the materials' factors are kept, textures are not (a warning says so). SVO_LIMIT beyond 65535 joints, 4 GB or 32-bit floats. */
-svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, const skel_skin *weights,
-                                  svo_warnings *warnings, svo_error *err);
+ * one node "skeleton"; inverse bind matrices; JOINTS_0 and WEIGHTS_0 (and _1 for more than 4 influences). Instances are placed in the world. Normals, vertex
+ * colours, texture coordinates and materials are kept with their textures (base colour, metallic-roughness, emissive; as PNG).
+ * draco_bits 8 to 24: the mesh is compressed by Draco (KHR_draco_mesh_compression), positions to so many bits, joints exactly, weights in bytes that add up to 255;
+ * *report (may be NULL) tells the errors. 0: it is not. SVO_LIMIT beyond 65535 joints, 4 GB or 32-bit floats. */
+svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const skel_skeleton *s, const skel_tree *tree, const skel_skin *weights, uint32_t draco_bits,
+                                  fmt_draco_report *report, svo_warnings *warnings, svo_error *err);
 
 /* The curve as SWC: number, type 0, x y z, radius, parent or -1. Bones that close a loop are left out and counted in a comment. */
 svo_result fmt_export_skel_swc(fmt_output *out, const skel_skeleton *s, const skel_tree *tree, svo_error *err);

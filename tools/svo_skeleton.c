@@ -23,7 +23,7 @@ typedef struct tool_options {
     uint64_t max_iterations, max_vertices;
     int method, normalize, search, place;
     const char *glb, *obj, *swc;
-    uint64_t influences, smoothing, solid_divide;
+    uint64_t influences, smoothing, solid_divide, draco;
     const char *bind, *bound, *solid, *reconstruct, *refine, *segments;
 } tool_options;
 
@@ -81,7 +81,7 @@ static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel
 }
 
 /* *mesh stays the caller's. */
-static svo_result from_mesh(cli *c, const skel_options *o, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
+static svo_result from_mesh(cli *c, const skel_options *o, bool textures, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
 {
     fmt_bytes bytes;
     char hash[33];
@@ -89,7 +89,7 @@ static svo_result from_mesh(cli *c, const skel_options *o, svo_mesh *mesh, skel_
     fmt_hash_hex(bytes.data, bytes.size, hash);
     fmt_bytes_close(&bytes);
     json_array_append_new(inputs, cli_provenance_input(c->inputs[0], hash));
-    fmt_import_options import = {.allocator = o->allocator, .threads = (uint32_t)c->threads, .skip_images = true, .warnings = &c->warnings};
+    fmt_import_options import = {.allocator = o->allocator, .threads = (uint32_t)c->threads, .skip_images = !textures, .warnings = &c->warnings};
     SVO_TRY(fmt_import_mesh(c->inputs[0], &import, mesh, err));
     svo_mesh_counts n = svo_mesh_count(mesh);
     json_t *input = cli_section(c, "input");
@@ -112,12 +112,12 @@ static svo_result is_container(const char *path, bool *yes, svo_error *err)
     return r;
 }
 
-static svo_result build(cli *c, const skel_options *o, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
+static svo_result build(cli *c, const skel_options *o, bool textures, svo_mesh *mesh, skel_skeleton *out, json_t *inputs, svo_error *err)
 {
     const char *path = c->inputs[0];
     bool voxels = strcmp(path, "-") == 0; /* stdin is for our own formats */
     if (!voxels) SVO_TRY(is_container(path, &voxels, err));
-    if (!voxels) return from_mesh(c, o, mesh, out, inputs, err);
+    if (!voxels) return from_mesh(c, o, textures, mesh, out, inputs, err);
     fmt_input *in;
     SVO_TRY(fmt_input_open(path, &in, err));
     svo_result r = from_voxels(c, in, o, out, inputs, err);
@@ -263,8 +263,22 @@ static svo_result write_glb(cli *c, const tool_options *o, fmt_output *out, cons
     skel_skin skin;
     const skel_skin_options k = {.influences = (uint32_t)o->influences, .smoothing = (uint32_t)o->smoothing, .allocator = s->allocator};
     SVO_TRY(skel_skin_make(mesh, s, tree, &k, &skin, err));
-    svo_result r = fmt_export_skinned_glb(out, mesh, s, tree, &skin, &c->warnings, err);
+    fmt_draco_report d;
+    svo_result r = fmt_export_skinned_glb(out, mesh, s, tree, &skin, (uint32_t)o->draco, &d, &c->warnings, err);
     json_t *output = cli_section(c, "output");
+    if (r == SVO_OK && o->draco > 0) {
+        json_t *j = json_object();
+        cli_put_u64(j, "bits", o->draco);
+        cli_put_u64(j, "bytes_plain", d.plain_bytes);
+        cli_put_u64(j, "bytes", d.bytes);
+        cli_put_text(j, "errors", d.measured ? "measured on what a decoder gives" : "bounds of the quantization");
+        cli_put_f64(j, "position_error_max", d.position_error);
+        cli_put_f64(j, "normal_error_max_degrees", d.normal_error);
+        cli_put_f64(j, "uv_error_max", d.uv_error);
+        cli_put_f64(j, "color_error_max", d.color_error);
+        cli_put_f64(j, "weight_error_max", d.weight_error);
+        json_object_set_new(output, "draco", j);
+    }
     cli_put_u64(output, "skin_influences", skin.most);
     skel_skin_free(&skin);
     return r;
@@ -439,7 +453,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     if (r == SVO_OK) r = open_all(c, o, &out, err);
     if (r == SVO_OK) {
         cli_phase(c, "import");
-        r = cli_about(c->inputs[0], build(c, &options, &mesh, &s, inputs, err), err);
+        r = cli_about(c->inputs[0], build(c, &options, o->glb != NULL, &mesh, &s, inputs, err), err);
     }
     if (r == SVO_OK) {
         json_t *how = json_object();
@@ -502,6 +516,8 @@ int main(int argc, char **argv)
         {.name = "swc", .kind = CLI_TEXT, .value = &o.swc, .argument = "OUT.swc", .no_default = true, .group = "Output", .help = "Write the curve as trees with radii (SWC) too."},
         {.name = "influences", .kind = CLI_U64, .value = &o.influences, .argument = "N", .min = 1, .max = SKEL_MAX_INFLUENCES, .group = "Output",
          .help = "Joints that may move a vertex of the skinned .glb."},
+        {.name = "draco", .kind = CLI_U64, .value = &o.draco, .max = 24, .argument = "BITS", .group = "Output",
+         .help = "Compress the mesh of the skinned .glb by Draco, positions to 8 to 24 bits; the report has the errors. 0: not."},
         {.name = "smoothing", .kind = CLI_U64, .value = &o.smoothing, .argument = "N", .max = 1000, .group = "Output",
          .help = "Rounds in which a vertex's weights are averaged with its neighbours'."},
         {.name = "bind", .kind = CLI_TEXT, .value = &o.bind, .argument = "IN.svo", .no_default = true, .group = "Output",
@@ -531,6 +547,7 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
     if (!o.has_omega) return cli_usage(&c, "--omega is needed");
+    if (o.draco != 0 && (o.draco < 8 || o.glb == NULL)) return cli_usage(&c, o.glb == NULL ? "--draco compresses the mesh of --glb, which is not given" : "--draco takes 8 to 24 bits, or 0");
     if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
     const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct, o.segments};
     for (int i = 0; i < (int)(sizeof files / sizeof *files); i++)

@@ -88,7 +88,7 @@ class Glb:
     def read(self, accessor):
         a = self.json["accessors"][accessor]
         view = self.json["bufferViews"][a["bufferView"]]
-        n = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}[a["type"]]
+        n = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}[a["type"]]
         code = {5123: "H", 5125: "I", 5126: "f"}[a["componentType"]]
         size = n * struct.calcsize(code)
         check(view["byteLength"] == a["count"] * size, (a, view))
@@ -154,6 +154,65 @@ def test_skinned_glb_and_swc(folder):
         check(len(rows) == len(points) and [int(r[0]) for r in rows] == list(range(1, len(rows) + 1)), rows[:3])
         check(all(int(r[6]) < int(r[0]) and (int(r[6]) > 0 or int(r[6]) == -1) and float(r[5]) >= 0 for r in rows) and int(rows[0][6]) == -1, rows[:3])
         check({tuple(map(float, r[2:5])) for r in rows} == set(points), rows[:3])
+
+
+def textured_tube(folder):
+    """A tube with texture coordinates and a 4x2 picture, as OBJ and MTL; returns the picture's rows."""
+    rows = [[(40 * x, 100 * y, 255 - 30 * x) for x in range(4)] for y in range(2)]
+    support.write_png(folder / "t.png", 4, 2, lambda x, y: rows[y][x])
+    (folder / "tube.mtl").write_text("newmtl skin\nKd 1 0.5 1\nmap_Kd t.png\n")
+    n, m, lines = 40, 12, ["mtllib tube.mtl"]
+    for i in range(n + 1):
+        for j in range(m + 1):
+            a = 2 * math.pi * (j % m) / m
+            lines.append("v %.17g %.17g %.17g" % (4 * i / n, 0.25 * math.cos(a), 0.25 * math.sin(a)))
+            lines.append("vt %.17g %.17g" % (i / n, j / m))
+    lines.append("usemtl skin")
+    for i in range(n):
+        for j in range(m):
+            a = i * (m + 1) + j + 1
+            lines.append("f " + " ".join("%d/%d" % (k, k) for k in (a, a + 1, a + m + 2, a + m + 1)))
+    (folder / "tube.obj").write_text("\n".join(lines) + "\n")
+    return rows
+
+
+def test_textures_and_draco(folder):
+    rows = textured_tube(folder)
+    for name, more in (("plain", ()), ("draco", ("--draco", 14)), ("eight", ("--draco", 12, "--influences", 8))):
+        glb = folder / (name + ".glb")
+        run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "-f", "--omega", 0.05, "--glb", glb, "--report", folder / "r.json", *more)
+        g = Glb(glb)
+        material = g.json["materials"][0]
+        texture = g.json["textures"][material["pbrMetallicRoughness"]["baseColorTexture"]["index"]]
+        view = g.json["bufferViews"][g.json["images"][texture["source"]]["bufferView"]]
+        (folder / "again.png").write_bytes(g.bytes[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+        width, height, channels, lines = support.read_png(folder / "again.png")
+        found = [[tuple(line[channels * x :][:3]) for x in range(width)] for line in lines]
+        check(found == rows, found)
+        primitive = g.json["meshes"][0]["primitives"][0]
+        check(primitive["material"] == 0 and "TEXCOORD_0" in primitive["attributes"], primitive)
+        if name == "plain":
+            for (x, _, _), (u, v) in zip(g.read(primitive["attributes"]["POSITION"]), g.read(primitive["attributes"]["TEXCOORD_0"])):
+                check(abs((x + g.json["nodes"][0]["translation"][0]) / 4 - u) < 1e-5 and 0 <= v <= 1, (x, u, v))
+            size = glb.stat().st_size
+            check("extensionsRequired" not in g.json and "draco" not in support.report(folder / "r.json")["output"], g.json)
+            continue
+        draco = support.report(folder / "r.json")["output"]["draco"]
+        check(glb.stat().st_size < size and draco["bytes"] < draco["bytes_plain"] / 3, (glb.stat().st_size, size, draco))
+        check(0 < draco["position_error_max"] < 4 / 2 ** (draco["bits"] - 1) and 0 < draco["uv_error_max"] < 2e-3 and 0 < draco["weight_error_max"] <= 1 / 255, draco)
+        check(g.json["extensionsRequired"] == ["KHR_draco_mesh_compression"], g.json)
+        extension = primitive["extensions"]["KHR_draco_mesh_compression"]
+        check(extension["attributes"].keys() == primitive["attributes"].keys() >= {"POSITION", "TEXCOORD_0", "JOINTS_0", "WEIGHTS_0"}, extension)
+        check(("JOINTS_1" in extension["attributes"]) == (name == "eight"), extension)
+        check("bufferView" not in g.json["accessors"][primitive["attributes"]["POSITION"]], primitive)
+        for other in ("plain", name):  # our importer reads both; the voxels are the same but for those that the surface only just meets
+            run("svo-voxelize", folder / (other + ".glb"), "-o", folder / (other + ".svo"), "-f", "--depth", 5, "--attributes", "none")
+        counts = [json.loads(run("svo-dump", folder / (other + ".svo"), "--json").out)["voxels"] for other in ("plain", name)]
+        check(abs(counts[0] - counts[1]) <= 0.05 * counts[0], counts)
+    r = tool("svo-skeleton", folder / "tube.obj", "-o", folder / "u.skel", "--omega", 0.05, "--draco", 14)
+    check(r.code == 1 and "--glb" in r.err, r)
+    r = tool("svo-skeleton", folder / "tube.obj", "-o", folder / "u.skel", "--omega", 0.05, "--glb", folder / "u.glb", "--draco", 7)
+    check(r.code == 1 and "8 to 24" in r.err, r)
 
 
 def test_bind(folder):
