@@ -39,47 +39,56 @@ static bool name_start(const svo_scene *s, uint64_t offset)
     return offset < s->names_size && (offset == 0 || s->names[offset - 1] == 0);
 }
 
-static svo_result check_names(const svo_scene *s, svo_result code, svo_error *err)
+static svo_result check_names(const svo_scene *s, svo_result code, svo_rules *rules, svo_error *err)
 {
     if (s->names_size == 0 || s->names_size > UINT32_MAX || s->names[0] != 0 || s->names[s->names_size - 1] != 0)
         return bad(err, code, NAME, 0, "SCN-03", "the table does not begin and end with a NUL");
     if (!fmt_utf8_valid(s->names, s->names_size)) return bad(err, code, NAME, 0, "SCN-03", "not UTF-8");
     for (uint64_t i = 0; s->instance_name != NULL && i < s->instance_count; i++)
-        if (!name_start(s, s->instance_name[i])) return bad(err, code, INAM, i, "SCN-03", "not the start of a name");
+        if (!name_start(s, s->instance_name[i])) SVO_TRY(svo_go_on(rules, bad(err, code, INAM, i, "SCN-03", "not the start of a name"), err));
     return SVO_OK;
 }
 
 typedef struct page_check {
     const svo_scene *scene;
     const svo_extent *extents;
+    bool poses_hold; /* all of them: the bounds of what has one can be told */
     svo_result code;
+    svo_rules *rules;
 } page_check;
 
-static svo_result check_page(const svo_scene *s, uint32_t p, const svo_extent *extents, svo_result code, svo_error *err)
+static svo_result check_instance(const page_check *c, uint32_t p, uint64_t i, svo_error *err)
 {
+    const svo_scene *s = c->scene;
     const svo_scene_page *page = &s->pages[p];
+    svo_result code = c->code;
+    uint32_t asset = s->instance_asset[i];
+    if (asset >= s->asset_count) return bad(err, code, IAST, i, "SCN-06", "there is no such asset");
+    if (s->instance_pose != NULL && s->instance_pose[i] != SVO_NO_POSE && s->instance_pose[i] >= s->poses.count)
+        return bad(err, code, IPOS, i, "SCN-11", "there is no such pose");
+    svo_mat4 m = svo_scene_instance_transform(s, p, i), inverse;
+    bool finite = true;
+    for (int k = 0; k < 12; k++) finite = finite && isfinite(m.m[k]);
+    if (!finite || !svo_mat4_affine_inverse(&m, &inverse)) return bad(err, code, IXFM, i, "SCN-07", "the transform is not finite or not invertible");
+    bool posed = svo_scene_instance_pose(s, i) != NULL;
+    if (s->assets[asset]->empty || (posed && !c->poses_hold)) return SVO_OK; /* told where assets and poses are looked at */
+    double low[3], high[3];
+    bool good = svo_scene_instance_bounds(s, p, i, &c->extents[asset], low, high);
+    for (int k = 0; k < 3; k++) {
+        /* sines and cosines differ in their last bits between machines */
+        double slack = posed ? 1e-9 * fmax(fabs(low[k]), fabs(high[k])) : 0;
+        good = good && low[k] >= page->low[k] - slack && high[k] <= page->high[k] + slack;
+    }
+    return good ? SVO_OK : bad(err, code, PAGE, p, "SCN-10", "the bounds do not hold all instances of the page");
+}
+
+static svo_result check_page(const page_check *c, uint32_t p, svo_error *err)
+{
+    const svo_scene_page *page = &c->scene->pages[p];
     for (int k = 0; k < 3; k++)
         if (!isfinite(page->low[k]) || !isfinite(page->high[k]) || !isfinite(page->origin[k]) || page->low[k] > page->high[k])
-            return bad(err, code, PAGE, p, "SCN-05", "bounds or origin are not finite or not in order");
-    for (uint64_t i = page->first; i < page->first + page->count; i++) {
-        uint32_t asset = s->instance_asset[i];
-        if (asset >= s->asset_count) return bad(err, code, IAST, i, "SCN-06", "there is no such asset");
-        if (s->instance_pose != NULL && s->instance_pose[i] != SVO_NO_POSE && s->instance_pose[i] >= s->poses.count)
-            return bad(err, code, IPOS, i, "SCN-11", "there is no such pose");
-        svo_mat4 m = svo_scene_instance_transform(s, p, i), inverse;
-        bool finite = true;
-        for (int k = 0; k < 12; k++) finite = finite && isfinite(m.m[k]);
-        if (!finite || !svo_mat4_affine_inverse(&m, &inverse))
-            return bad(err, code, IXFM, i, "SCN-07", "the transform is not finite or not invertible");
-        double low[3], high[3];
-        bool posed = svo_scene_instance_pose(s, i) != NULL, good = svo_scene_instance_bounds(s, p, i, &extents[asset], low, high);
-        for (int k = 0; k < 3; k++) {
-            /* sines and cosines differ in their last bits between machines */
-            double slack = posed ? 1e-9 * fmax(fabs(low[k]), fabs(high[k])) : 0;
-            good = good && low[k] >= page->low[k] - slack && high[k] <= page->high[k] + slack;
-        }
-        if (!good) return bad(err, code, PAGE, p, "SCN-10", "the bounds do not hold all instances of the page");
-    }
+            return bad(err, c->code, PAGE, p, "SCN-05", "bounds or origin are not finite or not in order");
+    for (uint64_t i = page->first; i < page->first + page->count; i++) SVO_TRY(svo_go_on(c->rules, check_instance(c, p, i, err), err));
     return SVO_OK;
 }
 
@@ -87,11 +96,11 @@ static svo_result check_page_range(void *user, uint64_t begin, uint64_t end, uin
 {
     (void)worker;
     const page_check *c = user;
-    for (uint64_t p = begin; p < end; p++) SVO_TRY(check_page(c->scene, (uint32_t)p, c->extents, c->code, err));
+    for (uint64_t p = begin; p < end; p++) SVO_TRY(svo_go_on(c->rules, check_page(c, (uint32_t)p, err), err));
     return SVO_OK;
 }
 
-static svo_result check_pages(const svo_scene *s, const svo_extent *extents, bool *used, bool partial, svo_result code, svo_error *err)
+static svo_result check_pages(const svo_scene *s, const svo_extent *extents, bool *used, bool poses_hold, bool partial, svo_result code, svo_rules *rules, svo_error *err)
 {
     uint64_t next = 0;
     for (uint32_t p = 0; p < s->page_count; p++) {
@@ -100,21 +109,23 @@ static svo_result check_pages(const svo_scene *s, const svo_extent *extents, boo
         next += s->pages[p].count;
     }
     if (next != s->instance_count) return bad(err, code, PAGE, s->page_count, "SCN-04", "the pages do not hold all instances");
-    page_check check = {s, extents, code};
-    SVO_TRY(svo_parallel_for(0, s->page_count, 4, check_page_range, &check, err));
-    for (uint64_t i = 0; i < s->instance_count; i++) used[s->instance_asset[i]] = true;
+    page_check check = {s, extents, poses_hold, code, rules};
+    if (rules != NULL) SVO_TRY(check_page_range(&check, 0, s->page_count, 0, err)); /* in order */
+    else SVO_TRY(svo_parallel_for(0, s->page_count, 4, check_page_range, &check, err));
+    for (uint64_t i = 0; i < s->instance_count; i++)
+        if (s->instance_asset[i] < s->asset_count) used[s->instance_asset[i]] = true;
     for (uint32_t a = 0; a < s->asset_count && !partial; a++)
-        if (!used[a]) return bad(err, code, ASET, a, "SCN-06", "no instance uses the asset");
+        if (!used[a]) SVO_TRY(svo_go_on(rules, bad(err, code, ASET, a, "SCN-06", "no instance uses the asset"), err));
     return SVO_OK;
 }
 
-static svo_result check_poses(const svo_scene *s, svo_result code, svo_error *err)
+static svo_result check_poses(const svo_scene *s, svo_result code, svo_rules *rules, svo_error *err)
 {
     for (uint64_t i = 0; i < 12 * s->poses.matrix_count; i++)
-        if (!isfinite(s->poses.matrix[i])) return bad(err, code, PMAT, i / 12, "SCN-12", "a matrix is not finite");
+        if (!isfinite(s->poses.matrix[i])) SVO_TRY(svo_go_on(rules, bad(err, code, PMAT, i / 12, "SCN-12", "a matrix is not finite"), err));
     for (uint32_t i = 0; i < s->poses.count; i++) {
         const char *fault = svo_pose_fault(&s->poses, &s->poses.pose[i]);
-        if (fault != NULL) return bad(err, code, POSE, i, "SCN-12", fault);
+        if (fault != NULL) SVO_TRY(svo_go_on(rules, bad(err, code, POSE, i, "SCN-12", fault), err));
     }
     return SVO_OK;
 }
@@ -133,21 +144,23 @@ static svo_result check_camera(const svo_scene *s, svo_result code, svo_error *e
     return SVO_OK;
 }
 
-svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, svo_error *err)
+svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, svo_rules *rules, svo_error *err)
 {
-    SVO_TRY(check_names(s, code, err));
-    SVO_TRY(check_poses(s, code, err));
-    SVO_TRY(check_camera(s, code, err));
+    SVO_TRY(svo_go_on(rules, check_names(s, code, rules, err), err));
+    uint64_t before = rules != NULL ? rules->count : 0;
+    SVO_TRY(check_poses(s, code, rules, err));
+    bool poses_hold = rules == NULL || rules->count == before;
+    SVO_TRY(svo_go_on(rules, check_camera(s, code, err), err));
     if (s->asset_count == 0 && s->instance_count != 0) return bad(err, code, HEAD, 0, "SCN-06", "instances without assets");
     if (s->asset_count == 0) return s->page_count == 0 ? SVO_OK : bad(err, code, PAGE, 0, "SCN-04", "a page without instances");
     svo_extent *extents = svo_calloc(a, s->asset_count, sizeof *extents);
     bool *used = svo_calloc(a, s->asset_count, sizeof *used), made = false;
     svo_result result = extents == NULL || used == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %u assets", s->asset_count) : SVO_OK;
     for (uint32_t i = 0; i < s->asset_count && !partial && result == SVO_OK; i++)
-        if (s->assets[i]->empty) result = bad(err, code, ASET, i, "SCN-08", "the asset is empty");
+        if (s->assets[i]->empty) result = svo_go_on(rules, bad(err, code, ASET, i, "SCN-08", "the asset is empty"), err);
     if (result == SVO_OK) result = svo_scene_extents(s, a, extents, err);
     made = result == SVO_OK;
-    if (result == SVO_OK) result = check_pages(s, extents, used, partial, code, err);
+    if (result == SVO_OK) result = check_pages(s, extents, used, poses_hold, partial, code, rules, err);
     for (uint32_t i = 0; made && i < s->asset_count; i++) svo_extent_free(&extents[i]);
     svo_free(a, extents, s->asset_count, sizeof *extents);
     svo_free(a, used, s->asset_count, sizeof *used);
@@ -285,7 +298,7 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
                            fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err)
 {
     fmt_scene_bytes sizes = {0};
-    SVO_TRY(fmti_scene_check(scene, false, SVO_INVALID_ARGUMENT, a, err));
+    SVO_TRY(fmti_scene_check(scene, false, SVO_INVALID_ARGUMENT, a, NULL, err));
     uint64_t before = fmt_output_offset(out);
     scene_writer w = {.out = out};
     svo_buffer_init(&w.head, a);
@@ -307,7 +320,7 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
 static const uint32_t chunk_order[] = {HEAD, NAME, PAGE, PHSH, IAST, IXFM, IIDS, INAM, IPOS, POSE, PMAT, CAMR, ASET, META};
 #define CHUNK_TYPES (sizeof chunk_order / sizeof chunk_order[0])
 
-static svo_result check_order(const fmt_container *c, svo_error *err)
+static svo_result check_order(const fmt_container *c, svo_rules *rules, svo_error *err)
 {
     int last = 0;
     uint64_t assets = 0;
@@ -317,10 +330,10 @@ static svo_result check_order(const fmt_container *c, svo_error *err)
         if (fmt_chunk_skip(k, chunk_order, CHUNK_TYPES)) continue;
         int rank = 1;
         while (chunk_order[rank - 1] != k->type) rank++;
-        if (rank < last || (rank == last && k->type != ASET)) return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "not in its place, or twice");
+        if (rank < last || (rank == last && k->type != ASET)) SVO_TRY(svo_go_on(rules, bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "not in its place, or twice"), err));
         if (k->codec != FMT_CODEC_NONE || (k->type != META && (k->flags & FMT_CHUNK_CRITICAL) == 0))
-            return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong codec or flags");
-        if (k->id != (k->type == ASET ? assets : 0)) return bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong id");
+            SVO_TRY(svo_go_on(rules, bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong codec or flags"), err));
+        if (k->id != (k->type == ASET ? assets : 0)) SVO_TRY(svo_go_on(rules, bad(err, SVO_INVALID_DATA, k->type, i, "SCN-01", "wrong id"), err));
         if (k->type == ASET) assets++;
         last = rank;
     }
@@ -430,7 +443,7 @@ static svo_result read_arrays(fmt_scene *f, const head *h, fmti_scene_damage *da
     return SVO_OK;
 }
 
-static svo_result check_page_hashes(const fmt_scene *f, fmti_scene_damage *damage, svo_error *err)
+static svo_result check_page_hashes(const fmt_scene *f, fmti_scene_damage *damage, svo_rules *rules, svo_error *err)
 {
     const svo_scene *s = &f->scene;
     uint64_t next = 0;
@@ -441,7 +454,10 @@ static svo_result check_page_hashes(const fmt_scene *f, fmti_scene_damage *damag
         next += page->count;
         bool same = fmti_scene_page_hash(s, p) == fmt_load64(f->page_hashes + 8 * (uint64_t)p);
         if (same) continue;
-        if (damage == NULL) return bad(err, SVO_INVALID_DATA, PHSH, p, "SCN-13", "the page is not what was written");
+        if (damage == NULL) {
+            SVO_TRY(svo_go_on(rules, bad(err, SVO_INVALID_DATA, PHSH, p, "SCN-13", "the page is not what was written"), err));
+            continue;
+        }
         SVO_TRY(fmti_scene_damage_page(damage, s->page_count, p, err));
     }
     return SVO_OK;
@@ -490,20 +506,20 @@ static svo_result read_all(fmt_scene *f, fmti_scene_damage *damage, svo_error *e
     if (f->container.major != MAJOR)
         return svo_fail(err, SVO_UNSUPPORTED, ".svscene version %u is newer than this program (it reads version %d)", f->container.major, MAJOR);
     head h;
-    SVO_TRY(check_order(&f->container, err));
+    SVO_TRY(check_order(&f->container, NULL, err));
     SVO_TRY(read_head(f, &h, err));
     SVO_TRY(read_arrays(f, &h, damage, err));
-    if (damage != NULL) SVO_TRY(check_page_hashes(f, damage, err));
+    if (damage != NULL) SVO_TRY(check_page_hashes(f, damage, NULL, err));
     SVO_TRY(read_assets(f, &h, damage, err));
     SVO_TRY(fmt_container_meta(&f->container, f->allocator, &f->provenance, err));
     double bounds[6] = {0};
     if (f->scene.page_count != 0) svo_scene_bounds(&f->scene, bounds, bounds + 3);
     bool partial = damage != NULL && (damage->pages != 0 || damage->assets != 0);
     if (partial) SVO_TRY(fmti_scene_drop_damaged(f, damage, err));
-    SVO_TRY(fmti_scene_check(&f->scene, partial, SVO_INVALID_DATA, f->allocator, err));
+    SVO_TRY(fmti_scene_check(&f->scene, partial, SVO_INVALID_DATA, f->allocator, NULL, err));
     for (int k = 0; k < 6; k++)
         if (h.bounds[k] != bounds[k]) return bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-05", "the bounds are not the union of the pages'");
-    return damage != NULL ? SVO_OK : check_page_hashes(f, NULL, err);
+    return damage != NULL ? SVO_OK : check_page_hashes(f, NULL, NULL, err);
 }
 
 static svo_result open_scene(const uint8_t *data, uint64_t size, const svo_allocator *a, fmti_scene_damage *damage, fmt_scene *out, svo_error *err)
@@ -519,6 +535,72 @@ static svo_result open_scene(const uint8_t *data, uint64_t size, const svo_alloc
     }
     *out = f;
     return SVO_OK;
+}
+
+typedef struct asset_rules { svo_rules *all; uint64_t asset, offset; } asset_rules;
+
+/* A violation inside an asset, as one of the scene. */
+static bool found_in_asset(void *user, const svo_error *e)
+{
+    const asset_rules *r = user;
+    svo_error outer = *e;
+    svo_fail(&outer, e->code, "asset %llu (SCN-08): %.200s", (unsigned long long)r->asset, e->message);
+    outer.chunk = e->chunk, outer.index = e->index, outer.offset = r->offset + e->offset;
+    r->all->count++;
+    return r->all->found(r->all->user, &outer);
+}
+
+static svo_result asset_violations(fmt_scene *f, svo_rules *rules, svo_error *err)
+{
+    uint64_t a = 0;
+    for (uint32_t i = 0; i < f->container.chunk_count; i++) {
+        const fmt_chunk *k = &f->container.chunks[i];
+        const uint8_t *bytes;
+        if (k->type != ASET) continue;
+        asset_rules inner = {rules, a++, k->offset};
+        svo_rules within = {found_in_asset, &inner, 0};
+        svo_result result = fmt_container_payload(&f->container, k, &bytes, err);
+        SVO_TRY(svo_go_on(rules, result, err));
+        if (result == SVO_OK) SVO_TRY(fmt_svdag_violations(bytes, k->stored_size, f->allocator, &within, err));
+    }
+    return SVO_OK;
+}
+
+static svo_result violations(fmt_scene *f, svo_rules *rules, svo_error *err)
+{
+    head h;
+    if (f->container.kind != FMT_KIND_SCENE || f->container.major != MAJOR) return read_all(f, NULL, err);
+    SVO_TRY(check_order(&f->container, rules, err));
+    SVO_TRY(asset_violations(f, rules, err));
+    uint64_t before = rules->count;
+    SVO_TRY(read_head(f, &h, err));
+    SVO_TRY(read_arrays(f, &h, NULL, err));
+    if (rules->count != before) return SVO_OK;
+    fmti_scene_damage damage = {.allocator = f->allocator}; /* its assets were looked at above; here they may be missing */
+    svo_result result = read_assets(f, &h, &damage, err);
+    fmti_scene_damage_free(&damage);
+    SVO_TRY(result);
+    SVO_TRY(svo_go_on(rules, fmt_container_meta(&f->container, f->allocator, &f->provenance, err), err));
+    double bounds[6] = {0};
+    bool same = true;
+    if (f->scene.page_count != 0) svo_scene_bounds(&f->scene, bounds, bounds + 3);
+    for (int k = 0; k < 6; k++) same = same && h.bounds[k] == bounds[k];
+    if (!same) SVO_TRY(svo_go_on(rules, bad(err, SVO_INVALID_DATA, HEAD, 0, "SCN-05", "the bounds are not the union of the pages'"), err));
+    SVO_TRY(svo_go_on(rules, fmti_scene_check(&f->scene, damage.assets != 0, SVO_INVALID_DATA, f->allocator, rules, err), err));
+    return check_page_hashes(f, NULL, rules, err);
+}
+
+svo_result fmt_scene_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err)
+{
+    fmt_scene f;
+    svo_error here = {0};
+    if (err == NULL) err = &here;
+    memset(&f, 0, sizeof f);
+    f.allocator = a;
+    svo_result result = fmt_container_open(data, size, a, &f.container, err);
+    if (result == SVO_OK) result = violations(&f, rules, err);
+    fmt_scene_close(&f);
+    return svo_go_on(rules, result, err);
 }
 
 svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err)

@@ -40,7 +40,9 @@ typedef struct fmt_scene {
     const svo_allocator *allocator;
 } fmt_scene;
 svo_result fmt_scene_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, svo_error *err);
-/* The same, but what is damaged is left out: pages whose bytes are not those that were written (each page has a hash of its own), assets that cannot be opened,
+/* Everything that is wrong with the file goes to `rules`, as in fmt_svdag_violations; what is wrong inside an asset as well. */
+svo_result fmt_scene_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err);
+/* The same as fmt_scene_open, but what is damaged is left out: pages whose bytes are not those that were written (each page has a hash of its own), assets that cannot be opened,
  * and instances of such assets. The rest is checked as ever; damage to anything else is an error. */
 typedef struct fmt_scene_loss { uint64_t pages, assets, instances; } fmt_scene_loss;
 svo_result fmt_scene_open_partly(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_scene *out, fmt_scene_loss *loss, svo_error *err);

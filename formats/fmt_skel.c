@@ -209,12 +209,12 @@ static svo_result find_chunks(const fmt_container *f, const fmt_chunk *out[4], s
     return SVO_OK;
 }
 
-static svo_result read_graph(const fmt_container *f, const fmt_chunk *const chunk[4], skel_skeleton *s, svo_error *err)
+static svo_result read_graph(const fmt_container *f, const fmt_chunk *const chunk[4], skel_skeleton *s, svo_rules *rules, svo_error *err)
 {
     const uint8_t *p;
     SVO_TRY(fmt_container_payload(f, chunk[0], &p, err));
     const char *why = head_load(p, &s->report);
-    if (why != NULL) return bad(chunk[0], why, err);
+    if (why != NULL) SVO_TRY(svo_go_on(rules, bad(chunk[0], why, err), err));
     SVO_TRY(fmt_container_payload(f, chunk[1], &p, err));
     s->joints = svo_alloc(s->allocator, chunk[1]->element_count, sizeof *s->joints);
     if (s->joints == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the joints");
@@ -223,7 +223,7 @@ static svo_result read_graph(const fmt_container *f, const fmt_chunk *const chun
         for (int k = 0; k < 3; k++) s->joints[j].position[k] = load_f64(p + 8 * k);
         s->joints[j].radius = load_f64(p + 24);
         s->joints[j].component = fmt_load32(p + 32);
-        if (fmt_load32(p + 36) != 0) return bad(chunk[1], "reserved bytes are not 0 (SKL-02)", err);
+        if (fmt_load32(p + 36) != 0) SVO_TRY(svo_go_on(rules, bad(chunk[1], "reserved bytes are not 0 (SKL-02)", err), err));
     }
     if (chunk[2]->element_count == 0) return SVO_OK;
     SVO_TRY(fmt_container_payload(f, chunk[2], &p, err));
@@ -260,6 +260,36 @@ static svo_result read_map(const fmt_container *f, const fmt_chunk *c, skel_skel
     return result;
 }
 
+static svo_result check_kind(const fmt_container *f, svo_error *err)
+{
+    if (f->kind != FMT_KIND_SKEL) return svo_fail(err, SVO_INVALID_DATA, "this is not a .skel file");
+    if (f->major != MAJOR) return svo_fail(err, SVO_UNSUPPORTED, "version %u.%u of .skel; this program reads version %d", f->major, f->minor, MAJOR);
+    return SVO_OK;
+}
+
+/* Rules that the reader checks while it reads end there; those of the graph and the map are looked at one by one. */
+svo_result fmt_skel_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err)
+{
+    fmt_container f;
+    svo_error here = {0};
+    if (err == NULL) err = &here;
+    svo_result result = fmt_container_open(data, size, a, &f, err);
+    if (result != SVO_OK) return svo_go_on(rules, result, err);
+    skel_skeleton s = {.allocator = a};
+    const fmt_chunk *chunk[4];
+    char *text = NULL;
+    result = check_kind(&f, err);
+    if (result == SVO_OK) result = find_chunks(&f, chunk, err);
+    if (result == SVO_OK) result = read_graph(&f, chunk, &s, rules, err);
+    if (result == SVO_OK) result = read_map(&f, chunk[3], &s, err);
+    if (result == SVO_OK) result = skel_check_all(&s, rules, err);
+    if (result == SVO_OK) result = fmt_container_meta(&f, a, &text, err);
+    fmt_meta_free(a, text);
+    skel_skeleton_free(&s);
+    fmt_container_close(&f);
+    return svo_go_on(rules, result, err);
+}
+
 svo_result fmt_skel_read(const uint8_t *data, uint64_t size, const svo_allocator *a, skel_skeleton *out, char **provenance, svo_error *err)
 {
     fmt_container f;
@@ -267,11 +297,9 @@ svo_result fmt_skel_read(const uint8_t *data, uint64_t size, const svo_allocator
     skel_skeleton s = {.allocator = a};
     char *text = NULL;
     const fmt_chunk *chunk[4];
-    svo_result result = SVO_OK;
-    if (f.kind != FMT_KIND_SKEL) result = svo_fail(err, SVO_INVALID_DATA, "this is not a .skel file");
-    else if (f.major != MAJOR) result = svo_fail(err, SVO_UNSUPPORTED, "version %u.%u of .skel; this program reads version %d", f.major, f.minor, MAJOR);
+    svo_result result = check_kind(&f, err);
     if (result == SVO_OK) result = find_chunks(&f, chunk, err);
-    if (result == SVO_OK) result = read_graph(&f, chunk, &s, err);
+    if (result == SVO_OK) result = read_graph(&f, chunk, &s, NULL, err);
     if (result == SVO_OK) result = read_map(&f, chunk[3], &s, err);
     if (result == SVO_OK) result = skel_check(&s, err);
     if (result == SVO_OK) result = fmt_container_meta(&f, a, &text, err);

@@ -21,6 +21,9 @@ svo_result fmt_skel_write(fmt_output *out, const skel_skeleton *s, const char *p
 svo_result fmt_skel_read(const uint8_t *data, uint64_t size, const svo_allocator *a, skel_skeleton *out, char **provenance,
                          svo_error *err);
 
+/* Everything that is wrong with the file goes to `rules`, as in fmt_svdag_violations. */
+svo_result fmt_skel_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err);
+
 /* The curve as text (`v x y z`, `l a b` for each bone, `p a` for a joint without bones), numbers with 17 digits. */
 svo_result fmt_export_skel_obj(fmt_output *out, const skel_skeleton *s, svo_error *err);
 

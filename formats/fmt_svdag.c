@@ -149,7 +149,11 @@ typedef struct reader {
     const fmt_container *c;
     uint32_t next; /* chunk */
     svo_error *err;
+    svo_rules *rules; /* NULL: the first violation is enough */
+    uint64_t usable;  /* channels whose arrays were found whole, a bit each */
 } reader;
+
+static svo_result go_on(reader *r, svo_result result) { return svo_go_on(r->rules, result, r->err); }
 
 static svo_result bad(reader *r, const fmt_chunk *c, const char *why)
 {
@@ -187,6 +191,7 @@ static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t 
     return SVO_OK;
 }
 
+/* SVO_CANCELLED: violations went to r->rules, and what follows cannot be told. */
 static svo_result parse_head(reader *r, svo_view *v)
 {
     const fmt_chunk *chunk;
@@ -196,8 +201,9 @@ static svo_result parse_head(reader *r, svo_view *v)
     uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
     if (layout != SVO_LAYOUT_PLAIN && layout != SVO_LAYOUT_FAST && layout != SVO_LAYOUT_BEST)
         return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
-    if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) return bad(r, chunk, "reserved fields are not 0 (DAG-02)");
+    if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) SVO_TRY(go_on(r, bad(r, chunk, "reserved fields are not 0 (DAG-02)")));
     svo_tree_info info;
+    bool whole = true;
     memset(&info, 0, sizeof info);
     info.depth = fmt_load32(b);
     info.surface = (svo_surface)b[8];
@@ -210,9 +216,12 @@ static svo_result parse_head(reader *r, svo_view *v)
     if (info.channel_count > SVO_MAX_CHANNELS || chunk->stored_size != HEAD_FIXED + RECORD * (uint64_t)info.channel_count)
         return bad(r, chunk, "size of HEAD and number of channels disagree (DAG-02)");
     for (uint32_t i = 0; i < info.channel_count; i++) {
-        SVO_TRY(parse_record(r, chunk, b + HEAD_FIXED + RECORD * i, &v->channels[i]));
+        svo_result one = parse_record(r, chunk, b + HEAD_FIXED + RECORD * i, &v->channels[i]);
+        SVO_TRY(go_on(r, one));
+        whole = whole && one == SVO_OK;
         info.channels[i] = v->channels[i].channel;
     }
+    if (!whole) return SVO_CANCELLED;
     const char *why = fmti_check_info(&info);
     if (why != NULL) return bad(r, chunk, why);
     v->depth = info.depth;
@@ -243,7 +252,7 @@ static svo_result parse_fast(reader *r, svo_view *v)
     memcpy(f->id_bits, b, 8);
     memcpy(f->code_bits, b + 8, 8);
     memcpy(f->turn, b + 16, 48);
-    if (fmt_load64(b + 64) > CODE_FULL) return bad(r, chunk, "reserved fields are not 0 (DAG-17)");
+    if (fmt_load64(b + 64) > CODE_FULL) SVO_TRY(go_on(r, bad(r, chunk, "reserved fields are not 0 (DAG-17)")));
     f->full = fmt_load64(b + 64) == CODE_FULL;
     uint64_t at = 0;
     for (uint32_t l = 0; l < v->brick_level; l++) {
@@ -282,7 +291,7 @@ static svo_result parse_geometry(reader *r, svo_view *v)
     for (uint32_t l = 0; l < v->brick_level && v->layout == SVO_LAYOUT_PLAIN; l++) {
         SVO_TRY(take(r, NODE, l, 4, &chunk, &b));
         if (chunk->element_count < NODE_HEAD) return bad(r, chunk, "too short (DAG-03)");
-        if (fmt_load32(b + 4) != 0) return bad(r, chunk, "a reserved field is not 0 (DAG-03)");
+        if (fmt_load32(b + 4) != 0) SVO_TRY(go_on(r, bad(r, chunk, "a reserved field is not 0 (DAG-03)")));
         v->levels[l] = (svo_view_level){.words = (const uint32_t *)(const void *)b + NODE_HEAD, .word_count = chunk->element_count - NODE_HEAD,
                                         .node_count = fmt_load64(b + 8), .offset_words = fmt_load32(b)};
     }
@@ -300,14 +309,32 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     if (c->encoding == SVO_ENCODING_CONSTANT) return SVO_OK;
     if (c->encoding == SVO_ENCODING_RAW) {
         SVO_TRY(take(r, ARAW, i, stride, &chunk, &c->raw));
-        return chunk->element_count == v->attribute_count ? SVO_OK : bad(r, chunk, "wrong number of values (DAG-08)");
+        if (chunk->element_count == v->attribute_count) return SVO_OK;
+        r->usable &= ~((uint64_t)1 << i);
+        return go_on(r, bad(r, chunk, "wrong number of values (DAG-08)"));
     }
     SVO_TRY(take(r, ATBL, i, stride, &chunk, &c->table));
-    if (chunk->element_count != c->table_count) return bad(r, chunk, "wrong number of table entries (DAG-08)");
+    if (chunk->element_count != c->table_count) {
+        r->usable &= ~((uint64_t)1 << i);
+        SVO_TRY(go_on(r, bad(r, chunk, "wrong number of table entries (DAG-08)")));
+    }
     SVO_TRY(take(r, ADIR, i, SVO_PALETTE_ENTRY, &chunk, &c->directory));
     c->superblock_count = chunk->element_count;
     SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
     c->payload_size = chunk->stored_size;
+    return SVO_OK;
+}
+
+/* Chunks follow each other: where those of a channel are not in their places, nor are those of the next. */
+static svo_result parse_channels(reader *r, svo_view *v)
+{
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        svo_result one = parse_channel(r, v, i);
+        SVO_TRY(go_on(r, one));
+        if (one == SVO_OK) continue;
+        r->usable &= ((uint64_t)1 << i) - 1;
+        return SVO_OK;
+    }
     return SVO_OK;
 }
 
@@ -317,22 +344,22 @@ static svo_result parse(reader *r, fmt_svdag *f)
     for (uint32_t i = 0; i < r->c->chunk_count; i++) SVO_TRY(fmt_chunk_known(&r->c->chunks[i], known, KNOWN, r->err));
     SVO_TRY(parse_head(r, v));
     SVO_TRY(parse_geometry(r, v));
-    for (uint32_t i = 0; i < v->channel_count; i++) SVO_TRY(parse_channel(r, v, i));
-    for (; r->next < r->c->chunk_count; r->next++) {
-        const fmt_chunk *c = &r->c->chunks[r->next];
-        if (c->type != FMT_TYPE_META && !fmt_chunk_skip(c, known, KNOWN)) return bad(r, c, "a chunk too many or in the wrong place (DAG-01, DAG-08)");
-    }
+    uint64_t before = r->rules != NULL ? r->rules->count : 0;
+    SVO_TRY(parse_channels(r, v));
+    if (r->rules == NULL || r->rules->count == before) /* (else the rest is not in its place for a reason that is known) */
+        for (; r->next < r->c->chunk_count; r->next++) {
+            const fmt_chunk *c = &r->c->chunks[r->next];
+            if (c->type != FMT_TYPE_META && !fmt_chunk_skip(c, known, KNOWN)) SVO_TRY(go_on(r, bad(r, c, "a chunk too many or in the wrong place (DAG-01, DAG-08)")));
+        }
     /* payloads that nobody reads are checked too, so that damage is never passed on */
     for (uint32_t i = 0; i < r->c->chunk_count; i++) {
         const uint8_t *bytes;
         if (fmt_chunk_skip(&r->c->chunks[i], known, KNOWN) && r->c->chunks[i].codec == FMT_CODEC_NONE)
-            SVO_TRY(fmt_container_payload(r->c, &r->c->chunks[i], &bytes, r->err));
+            SVO_TRY(go_on(r, fmt_container_payload(r->c, &r->c->chunks[i], &bytes, r->err)));
     }
-    SVO_TRY(fmt_container_meta(r->c, f->allocator, &f->provenance, r->err));
+    SVO_TRY(go_on(r, fmt_container_meta(r->c, f->allocator, &f->provenance, r->err)));
     SVO_TRY(svo_view_prepare(v, f->allocator, r->err));
-    SVO_TRY(svo_view_validate(v, f->allocator, r->err));
-    svo_view_accelerate(v, f->allocator);
-    return SVO_OK;
+    return svo_view_violations(v, f->allocator, r->usable, r->rules, r->err);
 }
 
 svo_result fmt_svdag_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_svdag *out, svo_error *err)
@@ -341,14 +368,30 @@ svo_result fmt_svdag_open(const uint8_t *data, uint64_t size, const svo_allocato
     memset(&f, 0, sizeof f);
     f.allocator = a;
     SVO_TRY(fmt_container_open(data, size, a, &f.container, err));
-    reader r = {.c = &f.container, .err = err};
+    reader r = {.c = &f.container, .err = err, .usable = UINT64_MAX};
     svo_result result = f.container.kind == FMT_KIND_SVDAG ? parse(&r, &f) : svo_fail(err, SVO_INVALID_DATA, "not a .svdag file but another kind of svokit file");
     if (result != SVO_OK) {
         fmt_svdag_close(&f);
         return result;
     }
+    svo_view_accelerate(&f.view, a);
     *out = f;
     return SVO_OK;
+}
+
+svo_result fmt_svdag_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err)
+{
+    fmt_svdag f;
+    svo_error here = {0};
+    if (err == NULL) err = &here;
+    memset(&f, 0, sizeof f);
+    f.allocator = a;
+    reader r = {.c = &f.container, .err = err, .rules = rules, .usable = UINT64_MAX};
+    svo_result result = fmt_container_open(data, size, a, &f.container, err);
+    if (result == SVO_OK) result = f.container.kind == FMT_KIND_SVDAG ? parse(&r, &f) : svo_fail(err, SVO_INVALID_DATA, "not a .svdag file but another kind of svokit file");
+    fmt_svdag_close(&f);
+    result = svo_go_on(rules, result, err);
+    return result == SVO_CANCELLED ? SVO_OK : result;
 }
 
 void fmt_svdag_close(fmt_svdag *f)

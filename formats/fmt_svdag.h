@@ -22,6 +22,9 @@ typedef struct fmt_svdag {
 } fmt_svdag;
 svo_result fmt_svdag_open(const uint8_t *data, uint64_t size, const svo_allocator *a, fmt_svdag *out, svo_error *err);
 void fmt_svdag_close(fmt_svdag *f);
+/* Everything that is wrong with the file goes to `rules`: each violation that does not hang on another. An error is returned only for what is no violation
+ * (out of memory, a newer version), or when `rules` had enough. */
+svo_result fmt_svdag_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, svo_rules *rules, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -36,7 +36,7 @@ svo_result fmti_scene_drop_damaged(fmt_scene *f, fmti_scene_damage *d, svo_error
 
 uint64_t fmti_scene_page_hash(const svo_scene *s, uint32_t page);
 
-/* Rules SCN-03 to SCN-12. partial: assets may be empty and unused. */
-svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, svo_error *err);
+/* Rules SCN-03 to SCN-12. partial: assets may be empty and unused. rules NULL: the first violation is enough. */
+svo_result fmti_scene_check(const svo_scene *s, bool partial, svo_result code, const svo_allocator *a, svo_rules *rules, svo_error *err);
 
 #endif

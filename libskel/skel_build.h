@@ -9,6 +9,7 @@
 
 #include "svo_mesh.h"
 #include "svo_stream.h"
+#include "svo_rules.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -212,6 +213,8 @@ void skel_components(const skel_skeleton *s, skel_component *out);
 
 /* The rules of docs/format/skel.md (SKL-03..SKL-07) on a skeleton in memory. */
 svo_result skel_check(const skel_skeleton *s, svo_error *err);
+/* The same, but violations go to `rules` (NULL: as above), and what does not hang on them is checked as well. */
+svo_result skel_check_all(const skel_skeleton *s, svo_rules *rules, svo_error *err);
 
 #ifdef __cplusplus
 }

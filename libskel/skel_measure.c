@@ -186,36 +186,41 @@ svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_
 
 /* --- rules -------------------------------------------------------------------------------------------------------- */
 
-static svo_result check_numbers(const skel_skeleton *s, svo_error *err)
+static svo_result check_numbers(const skel_skeleton *s, svo_rules *rules, svo_error *err)
 {
     const skel_report *r = &s->report;
     const double positive[] = {r->omega, r->unit};
     const double at_least_0[] = {r->delta, r->final_movement_sum, r->final_movement_max, r->thinness_error, r->surface_distance_mean,
                                  r->surface_distance_max, r->reconstruction_mean, r->reconstruction_max};
     for (size_t i = 0; i < sizeof positive / sizeof *positive; i++)
-        if (!isfinite(positive[i]) || !(positive[i] > 0)) return svo_fail(err, SVO_INVALID_DATA, "omega and unit must be finite and positive (SKL-03)");
+        if (!isfinite(positive[i]) || !(positive[i] > 0)) SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "omega and unit must be finite and positive (SKL-03)"), err));
     for (size_t i = 0; i < sizeof at_least_0 / sizeof *at_least_0; i++)
-        if (!isfinite(at_least_0[i]) || !(at_least_0[i] >= 0)) return svo_fail(err, SVO_INVALID_DATA, "a number of the report is negative or not finite (SKL-03)");
+        if (!isfinite(at_least_0[i]) || !(at_least_0[i] >= 0))
+            SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "number %zu of the report is negative or not finite (SKL-03)", i), err));
     for (int k = 0; k < 3; k++)
-        if (!isfinite(r->centre[k])) return svo_fail(err, SVO_INVALID_DATA, "the centre is not finite (SKL-03)");
+        if (!isfinite(r->centre[k])) SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "the centre is not finite (SKL-03)"), err));
     if (s->joint_count == 0) return svo_fail(err, SVO_INVALID_DATA, "there is no joint (SKL-04)");
     for (uint32_t j = 0; j < s->joint_count; j++) {
         const skel_joint *q = &s->joints[j];
         if (!isfinite(q->position[0]) || !isfinite(q->position[1]) || !isfinite(q->position[2]) || !isfinite(q->radius) || !(q->radius >= 0))
-            return svo_fail(err, SVO_INVALID_DATA, "joint %u is not finite or has a negative radius (SKL-03)", j);
+            SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "joint %u is not finite or has a negative radius (SKL-03)", j), err));
     }
     return SVO_OK;
 }
 
-static svo_result check_graph(const skel_skeleton *s, svo_error *err)
+static svo_result check_graph(const skel_skeleton *s, svo_rules *rules, svo_error *err)
 {
+    bool whole = true;
     for (uint32_t b = 0; b < s->bone_count; b++) {
         const skel_bone *q = &s->bones[b], *p = q - 1;
-        if (q->a >= q->b || q->b >= s->joint_count)
-            return svo_fail(err, SVO_INVALID_DATA, "bone %u joins %u and %u of %u joints (SKL-05)", b, q->a, q->b, s->joint_count);
-        if (b > 0 && (p->a > q->a || (p->a == q->a && p->b >= q->b)))
-            return svo_fail(err, SVO_INVALID_DATA, "bone %u is not in ascending order (SKL-05)", b);
+        if (q->a >= q->b || q->b >= s->joint_count) {
+            SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "bone %u joins %u and %u of %u joints (SKL-05)", b, q->a, q->b, s->joint_count), err));
+            whole = false;
+        } else if (b > 0 && (p->a > q->a || (p->a == q->a && p->b >= q->b))) {
+            SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "bone %u is not in ascending order (SKL-05)", b), err));
+        }
     }
+    if (!whole) return SVO_OK; /* components and counts follow from the bones */
     uint32_t n = s->joint_count, *parent = svo_alloc(s->allocator, n, sizeof *parent);
     skel_joint *joints = svo_alloc(s->allocator, n, sizeof *joints);
     svo_result result = SVO_OK;
@@ -229,30 +234,35 @@ static svo_result check_graph(const skel_skeleton *s, svo_error *err)
         const skel_report *x = &copy.report, *y = &s->report;
         for (uint32_t j = 0; j < n && result == SVO_OK; j++)
             if (joints[j].component != s->joints[j].component || (j > 0 && joints[j].component < joints[j - 1].component))
-                result = svo_fail(err, SVO_INVALID_DATA, "joint %u is said to be in component %u, but is in %u (SKL-06)", j, s->joints[j].component,
-                                  joints[j].component);
+                result = svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "joint %u is said to be in component %u, but is in %u (SKL-06)", j, s->joints[j].component,
+                                                   joints[j].component), err);
         if (result == SVO_OK && (x->components != y->components || x->ends != y->ends || x->branches != y->branches || x->loops != y->loops ||
                                  x->isolated != y->isolated))
-            result = svo_fail(err, SVO_INVALID_DATA, "the stored counts of components, ends, branches and loops are not those of the bones (SKL-08)");
+            result = svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "the stored counts of components, ends, branches and loops are not those of the bones (SKL-08)"), err);
     }
     svo_free(s->allocator, parent, n, sizeof *parent);
     svo_free(s->allocator, joints, n, sizeof *joints);
     return result;
 }
 
-svo_result skel_check(const skel_skeleton *s, svo_error *err)
+svo_result skel_check(const skel_skeleton *s, svo_error *err) { return skel_check_all(s, NULL, err); }
+
+svo_result skel_check_all(const skel_skeleton *s, svo_rules *rules, svo_error *err)
 {
-    SVO_TRY(check_numbers(s, err));
-    SVO_TRY(check_graph(s, err));
+    svo_error here = {0};
+    if (rules != NULL && err == NULL) err = &here;
+    SVO_TRY(svo_go_on(rules, check_numbers(s, rules, err), err));
+    if (s->joint_count == 0) return SVO_OK;
+    SVO_TRY(check_graph(s, rules, err));
     uint64_t mapped = 0;
     for (uint64_t i = 0; i < s->map_count; i++) {
         if (s->map[i] == SVO_NONE) continue;
         if (s->map[i] >= s->joint_count)
-            return svo_fail(err, SVO_INVALID_DATA, "element %llu of the map is joint %u of %u (SKL-07)", (unsigned long long)i, s->map[i], s->joint_count);
+            SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "element %llu of the map is joint %u of %u (SKL-07)", (unsigned long long)i, s->map[i], s->joint_count), err));
         mapped++;
     }
     if (mapped != s->report.mapped_count || s->report.input_count != s->map_count)
-        return svo_fail(err, SVO_INVALID_DATA, "%llu elements of the map have a joint, but HEAD says %llu (SKL-07)", (unsigned long long)mapped,
-                        (unsigned long long)s->report.mapped_count);
+        SVO_TRY(svo_go_on(rules, svo_fail(err, SVO_INVALID_DATA, "%llu elements of the map have a joint, but HEAD says %llu (SKL-07)", (unsigned long long)mapped,
+                                          (unsigned long long)s->report.mapped_count), err));
     return SVO_OK;
 }

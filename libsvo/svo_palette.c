@@ -267,7 +267,19 @@ static svo_result check_superblock(const svo_palette *p, uint64_t number, uint64
     return SVO_OK;
 }
 
-svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err)
+/* Where the superblock behind number i says it begins; 0: nowhere behind `at`. */
+static uint64_t next_begin(const svo_palette *p, uint64_t i, uint64_t base, uint64_t at, uint64_t end)
+{
+    uint32_t offset;
+    if (++i >= p->superblock_count) return 0;
+    memcpy(&offset, p->directory + i * SVO_PALETTE_ENTRY + 8, sizeof offset);
+    if (i % SVO_PALETTE_GROUP == 0) memcpy(&base, p->payload + i / SVO_PALETTE_GROUP * 8, sizeof base);
+    return base <= end && offset <= end - base && base + offset > at ? base + offset : 0;
+}
+
+svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err) { return svo_palette_check_all(p, stats, NULL, err); }
+
+svo_result svo_palette_check_all(const svo_palette *p, svo_palette_stats *stats, svo_rules *rules, svo_error *err)
 {
     svo_palette_stats local = {0};
     uint64_t groups = (p->superblock_count + SVO_PALETTE_GROUP - 1) / SVO_PALETTE_GROUP, base = 0;
@@ -287,7 +299,13 @@ svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo
             if (base != at) return bad(err, i, "a base is not where its first superblock begins");
         }
         if (base + offset != at) return bad(err, i, "does not begin where the last one ends");
-        SVO_TRY(check_superblock(p, i, map, p->payload + at, end - at, &used, &local, err));
+        svo_result r = check_superblock(p, i, map, p->payload + at, end - at, &used, &local, err);
+        if (r != SVO_OK) { /* the directory says where the next one begins; without it nothing more can be told */
+            uint64_t next = rules != NULL ? next_begin(p, i, base, at, end) : 0;
+            if (next == 0) return r;
+            SVO_TRY(svo_go_on(rules, r, err));
+            used = next - at;
+        }
         at += used;
     }
     if (at != end) return bad(err, 0, "the payload is larger than its superblocks");

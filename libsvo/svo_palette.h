@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "svo_alloc.h"
+#include "svo_rules.h"
 #include "svo_channel.h"
 
 #ifdef __cplusplus
@@ -121,6 +122,8 @@ svo_result svo_palette_encode(const svo_palette_job *job, svo_buffer *directory,
 
 /* Prove that svo_palette_value is safe for all values < count. Linear time. Fills the counts of `stats` (may be NULL). */
 svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err);
+/* The same, but superblocks that break the rule go to `rules` (NULL: as above), and the check goes on with the next one that the directory names. */
+svo_result svo_palette_check_all(const svo_palette *p, svo_palette_stats *stats, svo_rules *rules, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -29,6 +29,7 @@
 #include "svo_channel.h"
 #include "svo_palette.h"
 #include "svo_stream.h"
+#include "svo_rules.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -288,6 +289,9 @@ bool svo_view_voxels(const svo_view *v, svo_view_voxel_fn fn, void *user);
  * node starts of the next level, masks are not 0, offsets equal the counts of the subtrees, level counts match,
  * palette blocks lie inside the payload. Linear time; memory a few bytes a node. Run on every file before use. */
 svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_error *err);
+/* The same, but violations go to `rules`, and what does not hang on them is checked as well. Bit i of `usable`: the arrays of channel i can be
+ * read. SVO_OK with a count of 0: valid. */
+svo_result svo_view_violations(const svo_view *v, const svo_allocator *a, uint64_t usable, svo_rules *rules, svo_error *err);
 
 #ifdef __cplusplus
 }

@@ -16,6 +16,7 @@ typedef struct validate {
     const svo_view *v;
     const svo_allocator *a;
     svo_error *err;
+    svo_rules *rules; /* NULL: the first violation is enough */
     starts level[SVO_MAX_DEPTH];
     uint64_t *size[2], *times[2]; /* of the level worked on and its neighbour */
     uint64_t size_count[2], times_count[2];
@@ -27,6 +28,8 @@ static svo_result bad(validate *c, const char *rule, uint32_t level, uint64_t in
     if (c->err != NULL) c->err->index = index;
     return SVO_INVALID_DATA;
 }
+
+static svo_result go_on(validate *c, svo_result r) { return svo_go_on(c->rules, r, c->err); }
 
 static svo_result no_memory(validate *c) { return svo_fail(c->err, SVO_OUT_OF_MEMORY, "out of memory (validation)"); }
 
@@ -91,8 +94,8 @@ static uint64_t brick_size(bool lod, uint64_t brick)
     return lod ? n + 1 + (uint64_t)__builtin_popcountll(svo_brick_octants(brick)) : n;
 }
 
-/* References and offsets of a level; its subtree sizes from those of the level below. */
-static svo_result check_level(validate *c, uint32_t level)
+/* References and offsets of a level; its subtree sizes from those of the level below. *whole: all references lead somewhere. */
+static svo_result check_level(validate *c, uint32_t level, bool *whole)
 {
     const svo_view *v = c->v;
     const svo_view_level *l = &v->levels[level];
@@ -110,15 +113,18 @@ static svo_result check_level(validate *c, uint32_t level)
             if (m != mask && l->offset_words != 0) { /* not the first child */
                 uint64_t offset = *o++;
                 if (l->offset_words == 2) offset |= (uint64_t)*o++ << 32;
-                if (offset != size) return bad(c, "DAG-06", level, w, "an offset is not the size of the subtrees before it");
+                if (offset != size) SVO_TRY(go_on(c, bad(c, "DAG-06", level, w, "an offset is not the size of the subtrees before it")));
             }
             if (full >> __builtin_ctz(m) & 1) {
                 size++;
                 continue;
             }
             uint32_t ref = node[1 + refs++];
-            if (above_bricks ? ref >= v->brick_count : !is_start(c, level + 1, ref))
-                return bad(c, "DAG-05", level, w, "a reference does not point to a node");
+            if (above_bricks ? ref >= v->brick_count : !is_start(c, level + 1, ref)) {
+                SVO_TRY(go_on(c, bad(c, "DAG-05", level, w, "a reference does not point to a node")));
+                *whole = false;
+                continue;
+            }
             size += above_bricks ? brick_size(v->lod, v->bricks[ref]) : below[number(c, level + 1, ref)];
         }
         c->size[own][i] = size;
@@ -132,6 +138,7 @@ static svo_result count_nodes(validate *c)
 {
     const svo_view *v = c->v;
     uint64_t nodes[SVO_MAX_DEPTH + 1] = {0};
+    bool whole = true;
     if (!renew(c, &c->times[0], &c->times_count[0], v->brick_level == 0 ? v->brick_count : v->levels[0].node_count)) return no_memory(c);
     c->times[0][v->brick_level == 0 ? v->root : number(c, 0, v->root)] = 1;
     for (uint32_t level = 0; level < v->brick_level; level++) {
@@ -143,18 +150,20 @@ static svo_result count_nodes(validate *c)
         for (uint64_t i = 0; i < l->node_count; i++) {
             uint32_t mask = l->words[w] & 0xff, full = l->words[w] >> 8, r = (uint32_t)__builtin_popcount(mask & ~full);
             uint64_t times = c->times[own][i];
-            if (times == 0) return bad(c, "DAG-05", level, w, "a node that nothing refers to");
+            if (times == 0) SVO_TRY(go_on(c, bad(c, "DAG-05", level, w, "a node that nothing refers to")));
+            whole = whole && times != 0;
             nodes[level] += times;
             for (uint32_t j = 0; j < r; j++) c->times[own ^ 1][child_number(c, level, l->words[w + 1 + j])] += times;
             uint64_t leaves = times * (uint64_t)__builtin_popcount(full);
             for (uint32_t below = level + 1; leaves != 0 && below <= v->depth; below++) nodes[below] += leaves << 3 * (below - level - 1);
             w += 1 + r + ((uint32_t)__builtin_popcount(mask) - 1) * (uint64_t)l->offset_words;
         }
+        if (!whole) return SVO_OK; /* nodes below may be counted too seldom for that */
     }
     uint64_t parts[3] = {0}; /* bricks, octants, voxels */
     for (uint64_t i = 0; i < v->brick_count; i++) {
         uint64_t times = c->times[v->brick_level & 1][i];
-        if (times == 0) return bad(c, "DAG-05", v->brick_level, i, "a brick that nothing refers to");
+        if (times == 0) SVO_TRY(go_on(c, bad(c, "DAG-05", v->brick_level, i, "a brick that nothing refers to")));
         parts[0] += times;
         parts[1] += times * (uint64_t)__builtin_popcountll(svo_brick_octants(v->bricks[i]));
         parts[2] += times * (uint64_t)__builtin_popcountll(v->bricks[i]);
@@ -164,7 +173,7 @@ static svo_result count_nodes(validate *c)
         if (level >= virtual_levels) nodes[level - virtual_levels] += parts[i];
     }
     for (uint32_t level = 0; level <= SVO_MAX_DEPTH; level++)
-        if (nodes[level] != v->nodes[level]) return bad(c, "DAG-07", level, nodes[level], "number of octree nodes is wrong");
+        if (nodes[level] != v->nodes[level]) SVO_TRY(go_on(c, bad(c, "DAG-07", level, nodes[level], "number of octree nodes is wrong")));
     return SVO_OK;
 }
 
@@ -175,11 +184,15 @@ static svo_result check_geometry(validate *c)
     uint64_t allowed = v->depth == 0 ? 1 : v->depth == 1 ? 0xff : ~(uint64_t)0;
     for (uint64_t i = 0; i < v->brick_count; i++)
         if (v->bricks[i] == 0 || (v->bricks[i] & ~allowed) != 0)
-            return bad(c, "DAG-04", v->brick_level, i, "a brick is empty or has voxels outside the grid");
+            SVO_TRY(go_on(c, bad(c, "DAG-04", v->brick_level, i, "a brick is empty or has voxels outside the grid")));
+    bool whole = true;
     for (uint32_t level = v->brick_level; level-- > 0;) {
-        SVO_TRY(find_starts(c, level));
-        SVO_TRY(check_level(c, level));
+        svo_result r = find_starts(c, level);
+        SVO_TRY(go_on(c, r));
+        whole = whole && r == SVO_OK; /* levels above are then looked at one by one; what their references say cannot be told */
+        if (whole) SVO_TRY(check_level(c, level, &whole));
     }
+    if (!whole) return SVO_OK;
     uint64_t total;
     if (v->brick_level == 0) {
         if (v->root >= v->brick_count) return bad(c, "DAG-05", 0, v->root, "the root is no brick");
@@ -188,7 +201,7 @@ static svo_result check_geometry(validate *c)
         if (!is_start(c, 0, v->root)) return bad(c, "DAG-05", 0, v->root, "the root is no node");
         total = c->size[0][number(c, 0, v->root)];
     }
-    if (total != v->attribute_count) return bad(c, "DAG-06", 0, total, "number of attributes is not the size of the tree");
+    if (total != v->attribute_count) SVO_TRY(go_on(c, bad(c, "DAG-06", 0, total, "number of attributes is not the size of the tree")));
     return count_nodes(c);
 }
 
@@ -196,7 +209,7 @@ static svo_result check_geometry(validate *c)
 static svo_result check_normals(validate *c, uint32_t channel, const uint8_t *values, uint64_t count)
 {
     for (uint64_t i = 0; i < 2 * count; i++)
-        if (values[2 * i] == 0 && values[2 * i + 1] == 0x80) return bad(c, "DAG-10", channel, i / 2, "a normal holds -32768");
+        if (values[2 * i] == 0 && values[2 * i + 1] == 0x80) SVO_TRY(go_on(c, bad(c, "DAG-10", channel, i / 2, "a normal holds -32768")));
     return SVO_OK;
 }
 
@@ -213,15 +226,19 @@ static svo_result check_channel(validate *c, uint32_t i)
     case SVO_ENCODING_RAW: return normals ? check_normals(c, i, ch->raw, v->attribute_count) : SVO_OK;
     case SVO_ENCODING_BLOCKS:
         p = svo_view_palette(v, i);
-        SVO_TRY(svo_palette_check(&p, NULL, c->err));
+        SVO_TRY(go_on(c, svo_palette_check_all(&p, NULL, c->rules, c->err)));
         return normals ? check_normals(c, i, ch->table, ch->table_count) : SVO_OK;
     }
     return bad(c, "DAG-02", i, 0, "unknown encoding of a channel");
 }
 
-svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_error *err)
+svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_error *err) { return svo_view_violations(v, a, UINT64_MAX, NULL, err); }
+
+svo_result svo_view_violations(const svo_view *v, const svo_allocator *a, uint64_t usable, svo_rules *rules, svo_error *err)
 {
-    validate c = {.v = v, .a = a, .err = err};
+    svo_error here = {0};
+    if (rules != NULL && err == NULL) err = &here;
+    validate c = {.v = v, .a = a, .err = err, .rules = rules};
     if (v->depth > SVO_MAX_DEPTH || v->tree_depth != (v->depth < 2 ? 2 : v->depth) || v->brick_level != v->tree_depth - 2 ||
         v->channel_count > SVO_MAX_CHANNELS)
         return bad(&c, "DAG-02", 0, 0, "depth or number of channels out of range");
@@ -230,14 +247,15 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
     if (v->layout == SVO_LAYOUT_BEST && !v->empty && v->best == NULL)
         return svo_fail(err, SVO_INVALID_ARGUMENT, "svo_view_prepare comes before svo_view_validate");
     for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
-        if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) return bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered");
+        if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) SVO_TRY(go_on(&c, bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered")));
     if (v->empty) {
         bool zero = v->attribute_count == 0 && v->brick_count == 0 && v->root == 0 && v->layout == SVO_LAYOUT_PLAIN;
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) zero = zero && v->nodes[l] == 0;
         if (!zero) r = bad(&c, "DAG-07", 0, 0, "an empty octree with nodes");
     } else {
-        r = v->layout == SVO_LAYOUT_FAST ? svoi_fast_validate(v, a, err) : v->layout == SVO_LAYOUT_BEST ? svoi_best_validate(v, a, err) : check_geometry(&c);
+        r = v->layout == SVO_LAYOUT_FAST ? svoi_fast_validate(v, a, rules, err) : v->layout == SVO_LAYOUT_BEST ? svoi_best_validate(v, a, rules, err) : check_geometry(&c);
     }
+    r = go_on(&c, r);
     for (uint32_t l = 0; l < SVO_MAX_DEPTH; l++) {
         svo_free(a, c.level[l].bit, c.level[l].words, sizeof *c.level[l].bit);
         svo_free(a, c.level[l].before, c.level[l].words, sizeof *c.level[l].before);
@@ -246,6 +264,7 @@ svo_result svo_view_validate(const svo_view *v, const svo_allocator *a, svo_erro
         svo_free(a, c.size[i], c.size_count[i], sizeof *c.size[i]);
         svo_free(a, c.times[i], c.times_count[i], sizeof *c.times[i]);
     }
-    for (uint32_t i = 0; i < v->channel_count && r == SVO_OK; i++) r = check_channel(&c, i);
+    for (uint32_t i = 0; i < v->channel_count && r == SVO_OK; i++)
+        if (usable >> i & 1) r = go_on(&c, check_channel(&c, i));
     return r;
 }

@@ -167,6 +167,6 @@ static inline uint64_t svoi_best_entry_of(const svoi_best *b, const svoi_best_po
 bool svoi_best_bounds(const svo_view *v, const svo_allocator *a, uint32_t low[3], uint32_t high[3]);
 
 /* Rules DAG-12.. of the stream; counts octree nodes. */
-svo_result svoi_best_validate(const svo_view *v, const svo_allocator *a, svo_error *err);
+svo_result svoi_best_validate(const svo_view *v, const svo_allocator *a, svo_rules *rules, svo_error *err);
 
 #endif

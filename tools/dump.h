@@ -44,8 +44,8 @@ svo_result dump_scene(dump_job *j, svo_error *err);
 svo_result dump_skel(dump_job *j, svo_error *err);
 
 /* --- dump_validate.c --- */
-/* What is wrong with the file, after a run over it ended with `first` and *err (SVO_OK: an empty list): objects with id, message, chunk, offset. All damaged chunks, all
- * subtrees of a .svo and all assets of a scene that break rules, and of every other part the first violation; at most 1000. New reference. */
+/* What is wrong with the file, after a run over it ended with `first` and *err (SVO_OK: an empty list): objects with id, message, chunk, offset. All damaged chunks,
+ * all subtrees of a .svo that break rules (of each the first), and in the other kinds all violations that do not hang on another; at most 1000. New reference. */
 json_t *dump_violations(dump_job *j, svo_result first, const svo_error *err, uint64_t *suppressed);
 /* What can still be read of a damaged file, and where the damage is. New reference. */
 json_t *dump_partial(dump_job *j, svo_result first, const svo_error *err);

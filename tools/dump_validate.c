@@ -4,22 +4,23 @@
 
 #include "dump.h"
 #include "fmt_scene.h"
+#include "fmt_skel.h"
+#include "fmt_svdag.h"
 #include "fmt_survey.h"
 #include "fmt_svo.h"
 
 enum { MESSAGES = 1000, CHUNKS = 1000, TYPES = 32 };
 
-/* "SVO-05" of "... (SVO-05)"; empty when the message ends otherwise. */
+/* The rule that a message names: "SVO-05" of "... (SVO-05)", "DAG-05" of "asset 3 (SCN-08): DAG-05: ...", the first of "(DAG-01, DAG-08)". Empty: none. */
 static void rule_of(const char *message, char out[16])
 {
-    size_t n = strlen(message);
-    const char *open = strrchr(message, '(');
     out[0] = 0;
-    if (open == NULL || n == 0 || message[n - 1] != ')' || (size_t)(message + n - 1 - (open + 1)) >= 16) return;
-    if (strchr(open, '-') == NULL || strchr(open, ' ') != NULL) return;
-    size_t length = (size_t)(message + n - 1 - (open + 1));
-    memcpy(out, open + 1, length);
-    out[length] = 0;
+    for (const char *m = message; *m != 0; m++) {
+        if (m != message && m[-1] != '(' && !(m[-1] == ' ' && m - message > 1 && m[-2] == ':')) continue;
+        if (strspn(m, "ABCDEFGHIJKLMNOPQRSTUVWXYZ") != 3 || m[3] != '-' || strspn(m + 4, "0123456789") != 2) continue;
+        memcpy(out, m, 6);
+        out[6] = 0;
+    }
 }
 
 typedef struct findings {
@@ -106,28 +107,23 @@ static void check_subtrees(findings *f)
     svo_buffer_free(&storage);
 }
 
-/* Every asset of a scene by itself. */
-static void check_assets(findings *f)
+static bool on_violation(void *user, const svo_error *e)
 {
-    fmt_container c;
-    if (fmt_container_open(f->job->data, f->job->size, f->job->allocator, &c, NULL) != SVO_OK) return;
-    for (uint32_t i = 0; i < c.chunk_count; i++) {
-        const uint8_t *bytes;
-        char about[60];
-        fmt_svdag asset;
-        svo_error e = {0};
-        if (c.chunks[i].type != FMT_FOURCC('A', 'S', 'E', 'T') || fmt_container_payload(&c, &c.chunks[i], &bytes, &e) != SVO_OK) continue;
-        if (fmt_svdag_open(bytes, c.chunks[i].stored_size, f->job->allocator, &asset, &e) == SVO_OK) {
-            fmt_svdag_close(&asset);
-            continue;
-        }
-        snprintf(about, sizeof about, "asset %llu (SCN-08)", (unsigned long long)c.chunks[i].id);
-        f->about = about;
-        e.offset += c.chunks[i].offset; /* in the scene */
-        add(f, &e, 0);
-        f->about = NULL;
-    }
-    fmt_container_close(&c);
+    findings *f = user;
+    add(f, e, 0);
+    return f->suppressed == 0;
+}
+
+/* All rules of the kind; false for a kind whose rules are looked at elsewhere. */
+static bool check_rules(findings *f, uint32_t kind, svo_error *err)
+{
+    const dump_job *j = f->job;
+    svo_rules rules = {on_violation, f, 0};
+    if (kind == FMT_KIND_SVDAG) fmt_svdag_violations(j->data, j->size, j->allocator, &rules, err);
+    else if (kind == FMT_KIND_SCENE) fmt_scene_violations(j->data, j->size, j->allocator, &rules, err);
+    else if (kind == FMT_KIND_SKEL) fmt_skel_violations(j->data, j->size, j->allocator, &rules, err);
+    else return false;
+    return true;
 }
 
 static void survey(findings *f, bool chunks)
@@ -146,8 +142,9 @@ json_t *dump_violations(dump_job *j, svo_result first, const svo_error *err, uin
     bool sound = json_array_size(f.messages) == 0;
     uint32_t kind = fmt_container_kind(j->data, j->size);
     if (sound && first == SVO_INVALID_DATA && kind == FMT_KIND_SVO) check_subtrees(&f);
-    if (first == SVO_INVALID_DATA && kind == FMT_KIND_SCENE) check_assets(&f);
-    if (sound || json_array_size(f.messages) == 0) add(&f, err, 0);
+    svo_error inner = {0};
+    bool all = first == SVO_INVALID_DATA && check_rules(&f, kind, &inner);
+    if ((sound && !all) || json_array_size(f.messages) == 0) add(&f, err, 0);
     *suppressed = f.suppressed;
     return f.messages;
 }

@@ -1,6 +1,7 @@
 /* Damaged .skel files are refused with a message, or what is read from them keeps every rule. */
 #include "fmt_skel.h"
 #include "hostile.h"
+#include "rules_agree.h"
 #include "skel_shapes.h"
 #include "test.h"
 
@@ -9,7 +10,10 @@ static svo_result read_skel(void *user, const uint8_t *bytes, uint64_t size, con
     (void)user;
     skel_skeleton s;
     char *meta;
-    SVO_TRY(fmt_skel_read(bytes, size, a, &s, &meta, err));
+    svo_result r = fmt_skel_read(bytes, size, a, &s, &meta, err);
+    const char *differ = rules_agree(fmt_skel_violations, bytes, size, a, r, err, true);
+    if (differ != NULL) test_fail(__FILE__, __LINE__, "%s", differ);
+    if (r != SVO_OK) return r;
     /* Rules once more, independently of skel_check. */
     uint64_t mapped = 0;
     for (uint64_t i = 0; i < s.map_count; i++) {
@@ -56,6 +60,24 @@ TEST(damaged)
     CHECK_OK(fmt_output_commit(out, &err));
     hostile_case c = {.read = read_skel, .bytes = file.data, .size = file.size, .rounds = 1500, .seed = 77};
     hostile_run(&c);
+    /* violations that do not hang on each other are all found in one go */
+    hostile_file f;
+    svo_buffer bad;
+    svo_buffer_init(&bad, NULL);
+    hostile_parse(file.data, file.size, &f);
+    CHECK(f.count >= 4 && s.joint_count > 3);
+    memset(f.chunks[1].payload.data + 24, 0xff, 8);                    /* radius of joint 0 */
+    f.chunks[1].payload.data[3 * 40 + 32] ^= 0x40;                     /* component of joint 3 */
+    f.chunks[1].payload.data[2 * 40 + 36] = 1;                         /* reserved */
+    memset(f.chunks[3].payload.data, 0xee, 4);                         /* element 0 of the map */
+    memset(f.chunks[0].payload.data + 255, 1, 1);                      /* reserved */
+    for (int i = 0; i < 4; i++) hostile_touch(&f.chunks[i]);
+    hostile_build(&f, &bad);
+    const rules_text *all = rules_all(fmt_skel_violations, bad.data, bad.size);
+    static const char *const wanted[] = {"joint 0 is not finite", "joint 3 is said", "reserved bytes are not 0 (SKL-02)", "element 0 of the map"};
+    for (int i = 0; i < 4; i++) CHECK_MSG(strstr(all->all, wanted[i]) != NULL, "\"%s\" is not among\n%s", wanted[i], all->all);
+    hostile_free(&f);
+    svo_buffer_free(&bad);
     svo_buffer_free(&file);
     skel_skeleton_free(&s);
     shape_free(&m);

@@ -5,6 +5,7 @@
 
 #include "fmt_svdag.h"
 #include "hostile.h"
+#include "rules_agree.h"
 #include "svo_dag.h"
 #include "svo_morton.h"
 #include "test.h"
@@ -29,7 +30,10 @@ static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, co
 {
     (void)user;
     fmt_svdag f;
-    SVO_TRY(fmt_svdag_open(bytes, size, a, &f, err));
+    svo_result r = fmt_svdag_open(bytes, size, a, &f, err);
+    const char *differ = rules_agree(fmt_svdag_violations, bytes, size, a, r, err, true);
+    if (differ != NULL) test_fail(__FILE__, __LINE__, "%s", differ);
+    if (r != SVO_OK) return r;
     const svo_view *v = &f.view;
     walk w = {.v = v, .sound = true};
     bool all = svo_view_voxels(v, visit, &w);
@@ -234,6 +238,29 @@ TEST(each_rule)
         svo_buffer_free(&bad);
         hostile_free(&h);
     }
+    /* and violations that do not hang on each other all in one go */
+    const edit many[] = {
+        {C4("HEAD"), 156, 1, "reserved fields are not 0 (DAG-02)"},
+        {C4("HEAD"), 160 + 8 * 3, 1, "DAG-07: level 3"},
+        {C4("HEAD"), 160 + 8 * 9, 1, "DAG-07: level 9"},
+        {C4("NODE"), 4, 1, "a reserved field is not 0 (DAG-03)"},
+        {C4("NODE"), 16 + 4 + 4 * (uint64_t)k, 1, "DAG-06"},
+        {C4("APAY"), 8, 31, "DAG-09"},
+    };
+    hostile_file h;
+    svo_buffer bad;
+    svo_buffer_init(&bad, NULL);
+    hostile_parse(file.data, file.size, &h);
+    for (size_t i = 0; i < sizeof many / sizeof many[0]; i++) {
+        hostile_chunk *c = hostile_find(&h, many[i].type);
+        c->payload.data[many[i].offset] ^= many[i].mask;
+        hostile_touch(c);
+    }
+    hostile_build(&h, &bad);
+    const rules_text *all = rules_all(fmt_svdag_violations, bad.data, bad.size);
+    for (size_t i = 0; i < sizeof many / sizeof many[0]; i++) CHECK_MSG(strstr(all->all, many[i].rule) != NULL, "\"%s\" is not among\n%s", many[i].rule, all->all);
+    svo_buffer_free(&bad);
+    hostile_free(&h);
     svo_buffer_free(&file);
 }
 

@@ -5,6 +5,7 @@
 
 #include "fmt_scene.h"
 #include "hostile.h"
+#include "rules_agree.h"
 #include "packer.h"
 #include "svo_pack.h"
 #include "test.h"
@@ -47,7 +48,10 @@ static svo_result read_scene(void *user, const uint8_t *bytes, uint64_t size, co
 {
     (void)user;
     fmt_scene f;
-    SVO_TRY(fmt_scene_open(bytes, size, a, &f, err));
+    svo_result r = fmt_scene_open(bytes, size, a, &f, err);
+    const char *differ = rules_agree(fmt_scene_violations, bytes, size, a, r, err, false);
+    if (differ != NULL) test_fail(__FILE__, __LINE__, "%s", differ);
+    if (r != SVO_OK) return r;
     if (!sound(&f.scene)) test_fail(__FILE__, __LINE__, "a scene was accepted that is not sound");
     fmt_scene_close(&f);
     return SVO_OK;
@@ -179,6 +183,46 @@ TEST(every_rule_is_checked)
         hostile_free(&f);
         svo_buffer_free(&changed);
     }
+    svo_buffer_free(&file);
+}
+
+/* Violations that do not hang on each other are all found in one go, each once. */
+TEST(all_violations_are_listed)
+{
+    static const breakage cases[] = {
+        {"NAME 0: ", T('N', 'A', 'M', 'E'), 1, 1, {0xc0}},
+        {"PAGE 1: ", T('P', 'A', 'G', 'E'), 88, 8, {0, 0, 0, 0, 0, 0, 0xf0, 0x7f}},
+        {"IAST 0: ", T('I', 'A', 'S', 'T'), 0, 4, {2, 0, 0, 0}},
+        {"IAST 19: ", T('I', 'A', 'S', 'T'), 76, 4, {9, 0, 0, 0}},
+        {"IXFM 1: ", T('I', 'X', 'F', 'M'), 48, 4, {0, 0, 0x80, 0x7f}},
+        {"IPOS 3: ", T('I', 'P', 'O', 'S'), 12, 4, {99, 0, 0, 0}},
+        {"POSE 0: ", T('P', 'O', 'S', 'E'), 4, 1, {3}},
+        {"PMAT 0: ", T('P', 'M', 'A', 'T'), 4, 4, {0, 0, 0x80, 0x7f}},
+        {"CAMR 0: ", T('C', 'A', 'M', 'R'), 0, 8, {0, 0, 0, 0, 0, 0, 0, 0}},
+        {"PHSH 4: ", T('P', 'H', 'S', 'H'), 32, 1, {0x5a}},
+        {"asset 0 (SCN-08)", T('A', 'S', 'E', 'T'), 0, 1, {0}},
+    };
+    svo_buffer file, changed;
+    svo_buffer_init(&file, NULL);
+    svo_buffer_init(&changed, NULL);
+    make(20, &file);
+    if (test_failed()) return;
+    hostile_file f;
+    hostile_parse(file.data, file.size, &f);
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        hostile_chunk *c = hostile_find(&f, cases[i].type);
+        CHECK(c != NULL && cases[i].offset + cases[i].size <= c->payload.size);
+        memcpy(c->payload.data + cases[i].offset, cases[i].bytes, cases[i].size);
+        hostile_touch(c);
+    }
+    hostile_build(&f, &changed);
+    const rules_text *t = rules_all(fmt_scene_violations, changed.data, changed.size);
+    for (size_t i = 0; i < sizeof cases / sizeof cases[0]; i++) {
+        const char *at = strstr(t->all, cases[i].rule);
+        CHECK_MSG(at != NULL && strstr(at + 1, cases[i].rule) == NULL, "\"%s\" is not there once:\n%s", cases[i].rule, t->all);
+    }
+    hostile_free(&f);
+    svo_buffer_free(&changed);
     svo_buffer_free(&file);
 }
 

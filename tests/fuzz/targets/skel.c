@@ -1,6 +1,7 @@
 /* .skel: read, its rules checked again, its parts counted, written again. */
 #include "../fuzz.h"
 #include "fmt_skel.h"
+#include "rules_agree.h"
 
 static void use(const skel_skeleton *s, const svo_allocator *a)
 {
@@ -23,7 +24,10 @@ static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator 
 {
     skel_skeleton s;
     char *meta;
-    SVO_TRY(fmt_skel_read(bytes, size, a, &s, &meta, err));
+    svo_result r = fmt_skel_read(bytes, size, a, &s, &meta, err);
+    const char *differ = rules_agree(fmt_skel_violations, bytes, size, a, r, err, true);
+    if (differ != NULL) fuzz_fail("%s", differ);
+    if (r != SVO_OK) return r;
     use(&s, a);
     fmt_meta_free(a, meta);
     skel_skeleton_free(&s);

@@ -3,6 +3,7 @@
 
 #include "view_use.h"
 #include "fmt_scene.h"
+#include "rules_agree.h"
 #include "svo_bvh.h"
 
 static svo_result trace(const svo_scene *s, const svo_allocator *a, svo_error *err)
@@ -32,12 +33,15 @@ static svo_result trace(const svo_scene *s, const svo_allocator *a, svo_error *e
 static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
     fmt_scene f;
-    SVO_TRY(fmt_scene_open(bytes, size, a, &f, err));
+    svo_result r = fmt_scene_open(bytes, size, a, &f, err);
+    const char *differ = rules_agree(fmt_scene_violations, bytes, size, a, r, err, false);
+    if (differ != NULL) fuzz_fail("%s", differ);
+    if (r != SVO_OK) return r;
     const svo_scene *s = &f.scene;
     for (uint32_t i = 0; i < s->asset_count; i++) view_check(s->assets[i]);
     for (uint64_t i = 0; i < s->instance_count; i++)
         if (s->instance_asset[i] >= s->asset_count || strlen(svo_scene_instance_name(s, i)) >= s->names_size) fuzz_fail("instance %llu", (unsigned long long)i);
-    svo_result r = trace(s, a, err);
+    r = trace(s, a, err);
     fmt_scene_close(&f);
     return r;
 }
