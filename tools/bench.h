@@ -112,6 +112,11 @@ void bench_text_xml(bench_text *t, const char *text);
 
 void bench_write_csv(const bench *b, bench_text *out);
 void bench_write_svg(const bench *b, bench_text *out);
+/* One page with all of it, which needs nothing else. */
+void bench_write_html(const bench *b, bench_text *out);
+/* Does a column belong to the sweep? A figure as the table shows it, "-" where there is none. */
+bool bench_has_column(const bench *b, int column);
+void bench_format_cell(const bench_row *row, int column, char out[40]);
 void bench_write_table(const bench *b, bench_text *out);
 /* New reference. */
 json_t *bench_json(const bench *b);

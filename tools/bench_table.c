@@ -111,7 +111,7 @@ void bench_text_add(bench_text *t, const char *format, ...)
     if (n >= 0) free(line);
 }
 
-static bool has_column(const bench *b, int i) { return (bench_columns[i].sweeps >> b->sweep & 1) != 0; }
+bool bench_has_column(const bench *b, int i) { return (bench_columns[i].sweeps >> b->sweep & 1) != 0; }
 
 /* --- CSV ---------------------------------------------------------------------------------------------------------- */
 
@@ -131,7 +131,7 @@ void bench_write_csv(const bench *b, bench_text *out)
 {
     bench_text_add(out, "model,%s", bench_sweep_names[b->sweep]);
     for (int i = 0; i < COL_COUNT; i++)
-        if (has_column(b, i)) bench_text_add(out, ",%s", bench_columns[i].name);
+        if (bench_has_column(b, i)) bench_text_add(out, ",%s", bench_columns[i].name);
     bench_text_add(out, ",pareto_seconds,pareto_bytes,error\n");
     for (uint32_t m = 0; m < b->model_count; m++) {
         for (uint32_t v = 0; v < b->value_count; v++) {
@@ -139,7 +139,7 @@ void bench_write_csv(const bench *b, bench_text *out)
             csv_field(out, b->models[m].name);
             bench_text_add(out, ",%s", b->values[v].label);
             for (int i = 0; i < COL_COUNT; i++) {
-                if (!has_column(b, i)) continue;
+                if (!bench_has_column(b, i)) continue;
                 bench_text_add(out, ",");
                 if (isfinite(row->value[i])) bench_text_add(out, bench_columns[i].integer ? "%.0f" : "%.9g", row->value[i]);
             }
@@ -193,7 +193,7 @@ static json_t *json_columns(const bench *b)
 {
     json_t *all = json_array();
     for (int i = 0; i < COL_COUNT; i++) {
-        if (!has_column(b, i)) continue;
+        if (!bench_has_column(b, i)) continue;
         json_t *o = json_object();
         cli_put_text(o, "name", bench_columns[i].name);
         cli_put_text(o, "unit", bench_columns[i].unit);
@@ -214,7 +214,7 @@ static json_t *json_row(const bench *b, uint32_t m, uint32_t v)
     cli_put_text(o, "error", row->result != SVO_OK ? row->error : NULL);
     if (row->result != SVO_OK) cli_put_text(o, "error_code", svo_result_name(row->result));
     for (int i = 0; i < COL_COUNT && row->result == SVO_OK; i++) {
-        if (!has_column(b, i)) continue;
+        if (!bench_has_column(b, i)) continue;
         if (bench_columns[i].integer && isfinite(row->value[i])) cli_put_u64(o, bench_columns[i].name, (uint64_t)row->value[i]);
         else cli_put_f64(o, bench_columns[i].name, row->value[i]);
     }
@@ -250,7 +250,7 @@ json_t *bench_json(const bench *b)
 
 /* --- printed table ------------------------------------------------------------------------------------------------ */
 
-static void format_cell(const bench_row *row, int column, char out[40])
+void bench_format_cell(const bench_row *row, int column, char out[40])
 {
     double x = row->value[column];
     if (!isfinite(x)) snprintf(out, 40, "-");
@@ -268,24 +268,24 @@ void bench_write_table(const bench *b, bench_text *out)
     for (uint32_t m = 0; m < b->model_count; m++) model_width = at_least(model_width, strlen(b->models[m].name));
     for (uint32_t v = 0; v < b->value_count; v++) value_width = at_least(value_width, strlen(b->values[v].label));
     for (int i = 0; i < COL_COUNT; i++) {
-        if (!has_column(b, i) || bench_columns[i].brief == NULL) continue;
+        if (!bench_has_column(b, i) || bench_columns[i].brief == NULL) continue;
         width[i] = (int)strlen(bench_columns[i].brief);
         for (uint64_t r = 0; r < (uint64_t)b->model_count * b->value_count; r++) {
-            format_cell(&b->rows[r], i, cell);
+            bench_format_cell(&b->rows[r], i, cell);
             width[i] = at_least(width[i], strlen(cell));
         }
     }
     bench_text_add(out, "%-*s  %*s", model_width, "model", value_width, bench_sweep_names[b->sweep]);
     for (int i = 0; i < COL_COUNT; i++)
-        if (has_column(b, i) && bench_columns[i].brief != NULL) bench_text_add(out, "  %*s", width[i], bench_columns[i].brief);
+        if (bench_has_column(b, i) && bench_columns[i].brief != NULL) bench_text_add(out, "  %*s", width[i], bench_columns[i].brief);
     bench_text_add(out, "\n");
     for (uint32_t m = 0; m < b->model_count; m++) {
         for (uint32_t v = 0; v < b->value_count; v++) {
             const bench_row *row = bench_row_at(b, m, v);
             bench_text_add(out, "%-*s  %*s", model_width, b->models[m].name, value_width, b->values[v].label);
             for (int i = 0; i < COL_COUNT && row->result == SVO_OK; i++) {
-                if (!has_column(b, i) || bench_columns[i].brief == NULL) continue;
-                format_cell(row, i, cell);
+                if (!bench_has_column(b, i) || bench_columns[i].brief == NULL) continue;
+                bench_format_cell(row, i, cell);
                 bench_text_add(out, "  %*s", width[i], cell);
             }
             if (row->result != SVO_OK) bench_text_add(out, "  error: %s", row->error);

@@ -10,14 +10,14 @@
 static const char *const clocks[] = {"wall", "cpu", NULL};
 static const char *const attribute_names[] = {"auto", "none", NULL};
 
-enum { MAX_LIST_BYTES = 16 << 20 };
+enum { MAX_LIST_BYTES = 16 << 20, DOCUMENTS = 4 };
 
 typedef struct tool_options {
     uint64_t depth, repeat;
     int sweep, attributes, clock;
     bool has_sweep, has_depth, has_attributes;
     const char *values, *list;
-    const char *csv, *json, *svg;
+    const char *csv, *json, *svg, *html;
 } tool_options;
 
 /* A document: where it goes and what is in it. */
@@ -111,10 +111,10 @@ static bool same_file(const char *a, const char *b)
 }
 
 /* What would overwrite what, as a sentence for the user; false when nothing would. */
-static bool clash(const bench *b, const tool_options *o, const document docs[3], char why[300])
+static bool clash(const bench *b, const tool_options *o, const document docs[DOCUMENTS], char why[300])
 {
-    const char *outs[4] = {docs[0].path, docs[1].path, docs[2].path, b->c->report};
-    for (int i = 0; i < 4; i++) {
+    const char *outs[DOCUMENTS + 1] = {docs[0].path, docs[1].path, docs[2].path, docs[3].path, b->c->report};
+    for (int i = 0; i < DOCUMENTS + 1; i++) {
         if (outs[i] == NULL) continue;
         for (int k = 0; k < i; k++)
             if (outs[k] != NULL && same_file(outs[i], outs[k])) return snprintf(why, 300, "two outputs name the same file, '%.200s'", outs[i]), true;
@@ -125,14 +125,14 @@ static bool clash(const bench *b, const tool_options *o, const document docs[3],
     return false;
 }
 
-static svo_result open_documents(const bench *b, document docs[3], svo_error *err)
+static svo_result open_documents(const bench *b, document docs[DOCUMENTS], svo_error *err)
 {
-    for (int i = 0; i < 3; i++)
+    for (int i = 0; i < DOCUMENTS; i++)
         if (docs[i].path != NULL) SVO_TRY(fmt_output_open(docs[i].path, b->c->force, &docs[i].out, err));
     return SVO_OK;
 }
 
-static svo_result make_documents(const bench *b, document docs[3], svo_error *err)
+static svo_result make_documents(const bench *b, document docs[DOCUMENTS], svo_error *err)
 {
     if (docs[0].path != NULL) bench_write_csv(b, &docs[0].text);
     if (docs[1].path != NULL) {
@@ -144,7 +144,8 @@ static svo_result make_documents(const bench *b, document docs[3], svo_error *er
         json_decref(all);
     }
     if (docs[2].path != NULL) bench_write_svg(b, &docs[2].text);
-    for (int i = 0; i < 3; i++)
+    if (docs[3].path != NULL) bench_write_html(b, &docs[3].text);
+    for (int i = 0; i < DOCUMENTS; i++)
         if (docs[i].text.failed) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     return SVO_OK;
 }
@@ -156,9 +157,9 @@ static bool once_only(const char *path)
     return strcmp(path, "-") == 0 || (stat(path, &s) == 0 && !S_ISREG(s.st_mode));
 }
 
-static svo_result commit_documents(document docs[3], bool last, svo_error *err)
+static svo_result commit_documents(document docs[DOCUMENTS], bool last, svo_error *err)
 {
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < DOCUMENTS; i++) {
         document *d = &docs[i];
         if (d->path == NULL || (!last && once_only(d->path))) continue;
         if (d->out == NULL) SVO_TRY(fmt_output_open(d->path, true, &d->out, err)); /* our own, from the point before */
@@ -170,9 +171,9 @@ static svo_result commit_documents(document docs[3], bool last, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result write_documents(bench *b, document docs[3], bool last, svo_error *err)
+static svo_result write_documents(bench *b, document docs[DOCUMENTS], bool last, svo_error *err)
 {
-    for (int i = 0; i < 3; i++) docs[i].text.bytes.size = 0;
+    for (int i = 0; i < DOCUMENTS; i++) docs[i].text.bytes.size = 0;
     bench_mark_fronts(b);
     SVO_TRY(make_documents(b, docs, err));
     return commit_documents(docs, last, err);
@@ -224,7 +225,7 @@ static uint64_t judge(bench *b, svo_result *result, svo_error *err)
     return good;
 }
 
-static void report(const bench *b, uint64_t good, const document docs[3])
+static void report(const bench *b, uint64_t good, const document docs[DOCUMENTS])
 {
     json_t *in = cli_section(b->c, "input"), *out = cli_section(b->c, "output");
     cli_put_u64(in, "models", b->model_count);
@@ -232,7 +233,7 @@ static void report(const bench *b, uint64_t good, const document docs[3])
     cli_put_u64(out, "rows", (uint64_t)b->model_count * b->value_count);
     cli_put_u64(out, "rows_failed", (uint64_t)b->model_count * b->value_count - good);
     uint64_t bytes = 0;
-    for (int i = 0; i < 3; i++) bytes += docs[i].text.bytes.size;
+    for (int i = 0; i < DOCUMENTS; i++) bytes += docs[i].text.bytes.size;
     cli_put_u64(out, "bytes", bytes);
     json_object_set_new(b->c->json, "host", bench_host(b->c));
     json_t *all = bench_json(b);
@@ -240,7 +241,7 @@ static void report(const bench *b, uint64_t good, const document docs[3])
     json_decref(all);
 }
 
-static svo_result run(bench *b, document docs[3], svo_error *err)
+static svo_result run(bench *b, document docs[DOCUMENTS], svo_error *err)
 {
     SVO_TRY(name_models(b, err));
     SVO_TRY(open_documents(b, docs, err));
@@ -260,7 +261,7 @@ static svo_result run(bench *b, document docs[3], svo_error *err)
     uint64_t good = judge(b, &measured, &first);
     cli_phase(b->c, "write");
     bool to_stdout = false;
-    for (int i = 0; i < 3; i++) to_stdout |= docs[i].path != NULL && strcmp(docs[i].path, "-") == 0;
+    for (int i = 0; i < DOCUMENTS; i++) to_stdout |= docs[i].path != NULL && strcmp(docs[i].path, "-") == 0;
     if (!to_stdout && (b->c->report == NULL || strcmp(b->c->report, "-") != 0)) SVO_TRY(print_table(b, err));
     if (good > 0) { /* without any figure there is nothing to keep */
         SVO_TRY(write_documents(b, docs, true, err));
@@ -285,7 +286,7 @@ static char *join_command(int argc, char **argv)
 }
 
 /* Usage errors that only the whole command line shows; false with the sentence in why. */
-static bool check_usage(bench *b, const tool_options *o, const document docs[3], char why[300])
+static bool check_usage(bench *b, const tool_options *o, const document docs[DOCUMENTS], char why[300])
 {
     char values_why[200];
     if (!o->has_sweep) return snprintf(why, 300, "--sweep is needed"), false;
@@ -298,9 +299,9 @@ static bool check_usage(bench *b, const tool_options *o, const document docs[3],
     return !clash(b, o, docs, why);
 }
 
-static int finish(bench *b, document docs[3], int code)
+static int finish(bench *b, document docs[DOCUMENTS], int code)
 {
-    for (int i = 0; i < 3; i++) {
+    for (int i = 0; i < DOCUMENTS; i++) {
         fmt_output_discard(docs[i].out);
         svo_buffer_free(&docs[i].text.bytes);
     }
@@ -336,11 +337,13 @@ int main(int argc, char **argv)
          .help = "Write the rows, the meaning of each column, and what the times depend on."},
         {.name = "svg", .kind = CLI_TEXT, .value = &o.svg, .argument = "OUT.svg", .no_default = true, .group = "Output",
          .help = "Plot error against run time and against bytes."},
+        {.name = "html", .kind = CLI_TEXT, .value = &o.html, .argument = "OUT.html", .no_default = true, .group = "Output",
+         .help = "Write all of that as one page: the command, the plots, the rows, what each column means, and the host."},
     };
     cli_tool tool = {
         .name = "svo-bench",
         .summary = "Sweep a parameter over meshes: error and bytes against run time, as a table and a plot.",
-        .synopsis = "MESH... --sweep depth|color|normal|omega [--values LIST] [--csv OUT.csv] [--json OUT.json] [--svg OUT.svg] [options]",
+        .synopsis = "MESH... --sweep depth|color|normal|omega [--values LIST] [--csv OUT.csv] [--json OUT.json] [--svg OUT.svg] [--html OUT.html] [options]",
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "The table goes to stdout, unless a document or the report goes there (-). A mesh that fails is named in its rows, the others are measured, and the exit "
@@ -353,7 +356,7 @@ int main(int argc, char **argv)
     cli c;
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
-    document docs[3] = {{.path = o.csv}, {.path = o.json}, {.path = o.svg}};
+    document docs[DOCUMENTS] = {{.path = o.csv}, {.path = o.json}, {.path = o.svg}, {.path = o.html}};
     bench b = {.c = &c, .sweep = (bench_sweep)o.sweep, .depth = o.depth, .repeat = o.repeat, .attributes = o.attributes, .cpu = o.clock == 1};
     svo_error err = {0};
     svo_result r = SVO_OK;

@@ -48,6 +48,34 @@ def painted_cube(folder):
     return support.cube_glb(folder / "painted.glb", texture=texture)
 
 
+def test_html(folder):
+    """One page: well-formed, with the plots, every row and column, the command and the host; nothing from elsewhere, nothing that runs."""
+    ball = support.sphere_obj(folder / "ball & <b>.obj", rings=8)
+    r = tool("svo-bench", ball, folder / "none.obj", "--sweep", "depth", "--values", "3..5", "--repeat", 1, "--html", folder / "o.html", *all_output(folder))
+    check(r.code == 2, r)
+    text = (folder / "o.html").read_text()
+    check(text.startswith("<!DOCTYPE html>\n") and "<script" not in text and "href=" not in text and "src=" not in text and "url(" not in text)
+    root = xml.fromstring(text.split("\n", 1)[1].replace('<meta charset="utf-8">', "").replace('<meta name="viewport" content="width=device-width">', ""))
+    check(len([p for p in root.iter(SVG + "g") if p.get("class") == "panel"]) == 2)
+    svg = xml.fromstring((folder / "o.svg").read_bytes())
+    check(sum(1 for _ in root.iter(SVG + "path")) == sum(1 for _ in svg.iter(SVG + "path")), "another picture")
+    words = "".join(root.itertext())
+    check("svo-bench " + str(ball) in words and "none.obj: cannot open" in words and "processors" in words)
+    tables = {t.get("class"): t for t in root.iter("table")}
+    head = [h.text for h in tables["all"].iter("th")]
+    cells = [[c.text for c in row] for row in tables["all"].find("tbody")]
+    given = rows_of(folder / "o.csv")
+    check(len(cells) == len(given) == 6 and [c[0] for c in cells] == ["ball & <b>.obj"] * 3 + ["none.obj"] * 3)
+    for row, cell in zip(given[:3], cells):
+        check(cell[1] == row["depth"] and len(cell) == len(head))
+        for name, shown in zip(head[2:], cell[2:]):
+            check((shown == "-") == (row[name] == "") and (shown == "-" or math.isclose(float(shown), float(row[name]), rel_tol=1e-3, abs_tol=1e-4)), (name, shown, row[name]))
+    check(len(list(tables["meaning"].iter("tr"))) == len(head) - 2)
+    check(tool("svo-bench", ball, "--sweep", "depth", "--values", 3, "--html", folder / "x", "--svg", folder / "x").code == 1)
+    both = run("svo-bench", ball, "--sweep", "depth", "--values", 3, "--repeat", 1, "--html", "-")
+    check(both.text.startswith("<!DOCTYPE html>") and both.text.endswith("</body></html>\n"))
+
+
 def test_depth(folder):
     ball, cube = support.sphere_obj(folder / "ball.obj", radius=2.5), support.cube_obj(folder / "cube.obj")
     depths = [3, 4, 5, 6, 7]
