@@ -5,6 +5,7 @@ import math
 import struct
 
 import support
+import swc_reader
 from support import check, run, tool
 
 
@@ -150,10 +151,83 @@ def test_skinned_glb_and_swc(folder):
             q = [sum(w * (world[skin["joints"][j]][k] - middle[k] + bind[j][12 + k] + p[k]) for w, j in zip(weights, joints)) for k in range(3)]
             check(min(math.dist(q, o) for o in obj) < 2e-6, (v, q))  # importers may number vertices as they like
         check(support.report(folder / "r.json")["output"]["skin_influences"] == most <= influences, most)
-        rows = [line.split() for line in (folder / "t.swc").read_text().splitlines() if not line.startswith("#")]
-        check(len(rows) == len(points) and [int(r[0]) for r in rows] == list(range(1, len(rows) + 1)), rows[:3])
-        check(all(int(r[6]) < int(r[0]) and (int(r[6]) > 0 or int(r[6]) == -1) and float(r[5]) >= 0 for r in rows) and int(rows[0][6]) == -1, rows[:3])
-        check({tuple(map(float, r[2:5])) for r in rows} == set(points), rows[:3])
+        swc_reader.check_pair(swc_reader.Swc(folder / "t.swc"), swc_reader.Curve(folder / "t.obj"), 1)
+
+
+def test_curves_are_read_back(folder):
+    """A ring and a tube apart from it: two trees, one bone outside of them; by a strict reader of SWC and of lines in OBJ."""
+    tube_obj(folder / "tube.obj", n=30)
+    lines, n, m = (folder / "tube.obj").read_text().splitlines(), 60, 12
+    base = sum(line.startswith("v") for line in lines)
+    for i in range(n):
+        for j in range(m):
+            u, v = 2 * math.pi * i / n, 2 * math.pi * j / m
+            r = 1.5 + 0.25 * math.cos(v)
+            lines.append("v %.17g %.17g %.17g" % (r * math.cos(u), 5 + r * math.sin(u), 0.25 * math.sin(v)))
+            a, b = base + i * m, base + (i + 1) % n * m
+            lines.append("f %d %d %d %d" % (a + j + 1, b + j + 1, b + (j + 1) % m + 1, a + (j + 1) % m + 1))
+    (folder / "both.obj").write_text("\n".join(lines) + "\n")
+    run("svo-skeleton", folder / "both.obj", "-o", folder / "t.skel", "--omega", 0.03, "--obj", folder / "c.obj", "--swc", folder / "c.swc", "--report", folder / "r.json")
+    out = support.report(folder / "r.json")["output"]
+    swc = swc_reader.Swc(folder / "c.swc")
+    check((out["components"], out["loops"], out["roots"], out["bones_outside_trees"]) == (2, 1, 2, 1), out)
+    swc_reader.check_pair(swc, swc_reader.Curve(folder / "c.obj"), 2)
+    check(all(0.15 < r < 0.35 for _, _, _, r in swc.points.values()), swc.points)
+    # the root is the joint nearest to the middle of a longest path: of the tube, the middle
+    (root,) = [n for n in swc.roots if abs(swc.points[n][1]) < 0.5]
+    check(abs(swc.points[root][0] - 2) < 0.5, swc.points[root])
+    for what, by in (("1 0 ", "0 0 "), ("-1", "9999"), ("\n2 ", "\n3 "), (" 0 ", " x ")):  # the reader does find what is wrong
+        (folder / "bad.swc").write_text((folder / "c.swc").read_text().replace(what, by, 1))
+        try:
+            swc_reader.Swc(folder / "bad.swc")
+            check(False, "the reader took " + by)
+        except swc_reader.SwcError:
+            pass
+
+
+def test_posed(folder):
+    """The tube bent in its middle: what follows joints beyond the bend alone moves as they do, weights change little along an edge, and no edge is torn."""
+    tube_obj(folder / "tube.obj")
+    steepest = {}
+    for smoothing in (0, 8):
+        run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "-f", "--omega", 0.03, "--glb", folder / "t.glb", "--smoothing", smoothing)
+        g = Glb(folder / "t.glb")
+        primitive = g.json["meshes"][0]["primitives"][0]
+        at, world = primitive["attributes"], world_translations(g.json)
+        position, joints, weights = (g.read(at[k]) for k in ("POSITION", "JOINTS_0", "WEIGHTS_0"))
+        index = [i for i, in g.read(primitive["indices"])]
+        middle = g.json["nodes"][0]["translation"]
+        place = [[world[node][k] - middle[k] for k in range(3)] for node in g.json["skins"][0]["joints"]]
+        bend = min(range(len(place)), key=lambda j: abs(place[j][0]))
+        x0 = place[bend][0]
+        moved = [p[0] > x0 + 1e-9 for p in place]  # along the tube, joints beyond the bend are its descendants on one side
+        c, s = math.cos(math.radians(60)), math.sin(math.radians(60))
+
+        def turned(p):
+            x, y = p[0] - x0, p[1] - place[bend][1]
+            return [x0 + c * x - s * y, place[bend][1] + s * x + c * y, p[2]]
+
+        posed = []
+        for p, j, w in zip(position, joints, weights):
+            q = turned(p)
+            share = sum(wk for jk, wk in zip(j, w) if moved[jk])
+            check(abs(sum(w) - 1) <= 1e-6 and min(w) >= 0, w)
+            posed.append([(1 - share) * a + share * b for a, b in zip(p, q)])
+        full = [dict() for _ in position]
+        for v, (j, w) in enumerate(zip(joints, weights)):
+            for jk, wk in zip(j, w):
+                full[v][jk] = full[v].get(jk, 0) + wk
+        step, stretch = 0, 0
+        for t in range(0, len(index), 3):
+            for a, b in ((index[t], index[t + 1]), (index[t + 1], index[t + 2]), (index[t + 2], index[t])):
+                step = max(step, max(abs(full[a].get(k, 0) - full[b].get(k, 0)) for k in set(full[a]) | set(full[b])))
+                stretch = max(stretch, math.dist(posed[a], posed[b]) / math.dist(position[a], position[b]))
+        steepest[smoothing] = step
+        rigid = [v for v in range(len(position)) if position[v][0] > x0 + 1.5]
+        check(len(rigid) > 50 and all(math.dist(posed[v], turned(position[v])) < 1e-6 for v in rigid), "the far end does not move as a whole")
+        check(all(math.dist(posed[v], position[v]) < 1e-6 for v in range(len(position)) if position[v][0] < x0 - 1.5), "the near end moves")
+        check(stretch < 3, stretch)
+    check(steepest[8] <= steepest[0] + 1e-6 and steepest[8] < 0.35, steepest)
 
 
 def textured_tube(folder):
