@@ -413,7 +413,8 @@ svo_result svo_bvh_build(const svo_scene *scene, uint32_t threads, const svo_all
 void svo_bvh_free(svo_bvh *b)
 {
     if (b == NULL) return;
-    svo_rays_free(b->single);
+    for (uint32_t i = 0; b->rays != NULL && i < b->scene->asset_count; i++) svo_rays_free(b->rays[i]);
+    if (b->rays != NULL) svo_free(b->allocator, b->rays, b->scene->asset_count, sizeof *b->rays);
     svo_free(b->allocator, b->placed, b->placed_capacity, sizeof *b->placed);
     svo_free(b->allocator, b->nodes, b->node_capacity, sizeof *b->nodes);
     svo_free(b->allocator, b, 1, sizeof *b);
@@ -428,14 +429,27 @@ bool svo_bvh_bounds(const svo_bvh *b, double low[3], double high[3])
 
 svo_result svo_bvh_use_rays(svo_bvh *b, const svo_rays_options *options, svo_rays_report *report, svo_error *err)
 {
+    svo_rays_options o = options != NULL ? *options : svo_default_rays_options();
+    const uint64_t limit = o.memory != 0 ? o.memory : (uint64_t)1 << 30;
+    svo_rays_report sum = {.kernel = SVO_KERNEL_PORTABLE};
     if (report != NULL) memset(report, 0, sizeof *report);
-    if (b->placed_count != 1 || b->single != NULL) return SVO_OK;
-    svo_rays_report made;
-    SVO_TRY(svo_rays_build(svo_bvh_view(b, 0), options, &b->single, &made, err));
-    if (made.kernel == SVO_KERNEL_PORTABLE) { /* the ordinary way is the same, and remembers nodes from call to call */
-        svo_rays_free(b->single);
-        b->single = NULL;
+    if (b->placed_count == 0 || b->rays != NULL) return SVO_OK;
+    b->rays = svo_calloc(b->allocator, b->scene->asset_count, sizeof *b->rays);
+    if (b->rays == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for %u assets", b->scene->asset_count);
+    for (uint64_t i = 0; i < b->placed_count && sum.bytes < limit; i++) {
+        uint32_t asset = b->placed[i].asset;
+        if (b->rays[asset] != NULL) continue;
+        svo_rays_report made;
+        o.memory = limit - sum.bytes;
+        SVO_TRY(svo_rays_build(b->scene->assets[asset], &o, &b->rays[asset], &made, err));
+        if (made.kernel != SVO_KERNEL_PORTABLE) sum.kernel = made.kernel;
+        sum.bytes += made.bytes, sum.nodes += made.nodes, sum.bricks += made.bricks, sum.seconds += made.seconds;
     }
-    if (report != NULL) *report = made;
+    if (sum.kernel == SVO_KERNEL_PORTABLE) { /* the ordinary way is the same, and remembers nodes from call to call */
+        for (uint32_t i = 0; i < b->scene->asset_count; i++) svo_rays_free(b->rays[i]);
+        svo_free(b->allocator, b->rays, b->scene->asset_count, sizeof *b->rays);
+        b->rays = NULL;
+    }
+    if (report != NULL) *report = sum;
     return SVO_OK;
 }

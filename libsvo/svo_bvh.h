@@ -36,8 +36,9 @@ svo_result svo_bvh_build(const svo_scene *scene, uint32_t threads, const svo_all
                          svo_bvh_report *report, svo_error *err);
 void svo_bvh_free(svo_bvh *bvh);
 
-/* Trace many rays at a time where the scene has one instance that can be hit (svo_rays.h); nothing changes but the time it takes.
- * Scenes of several instances are left as they are. report: zero where nothing was made; may be NULL. */
+/* Trace many rays at a time (svo_rays.h) in batches of the functions below; nothing changes but the time it takes. A second form is made of every
+ * asset with an instance that can be hit, until options->memory is used up; instances of the others are traced as before. Before any ray is
+ * traced; not by several threads. report: sums over the assets; zero where nothing was made; may be NULL. */
 svo_result svo_bvh_use_rays(svo_bvh *bvh, const svo_rays_options *options, svo_rays_report *report, svo_error *err);
 
 /* Box around everything that can be hit, tight to the voxels but for rotated instances; false when there is nothing. */

@@ -118,54 +118,133 @@ static inline __attribute__((always_inline)) bool traverse(const svo_bvh *b, svo
     }
 }
 
-/* The one instance's grid, many rays at a time: hits or blocked is NULL. */
-static void trace_single(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits, bool *blocked)
-{
-    enum { SOME = 256 };
+/* ---- many rays at a time ------------------------------------------------------------------------------------------------ */
+
+enum { SOME = 256, FEW = 4 /* rays that are not worth the lanes */ };
+
+/* A batch on its way through the hierarchy. `hits` or `blocked` is NULL. */
+typedef struct stream {
+    const svo_bvh *b;
+    svoi_ray_cache *cache;
+    const svo_scene_ray *rays;
+    svo_scene_hit *hits;
+    bool *blocked;
+    slab_ray slab[SOME];
+    double t_max[SOME];
     svo_ray grid[SOME];
     svo_hit found[SOME];
-    for (uint32_t i = 0; i < count; i += SOME) {
-        uint32_t n = count - i < SOME ? count - i : SOME;
-        for (uint32_t k = 0; k < n; k++) grid[k] = svo_bvh_grid_ray(b, 0, &rays[i + k]);
-        if (blocked != NULL) {
-            svo_rays_blocked(b->single, grid, n, blocked + i);
+    bool dark[SOME];
+    uint16_t list[(SVOI_BVH_STACK + 2) * SOME]; /* rays that go into the nodes on the stack, parents first */
+} stream;
+
+/* Some rays against one instance. */
+static void stream_item(stream *s, uint32_t item, const uint16_t *list, uint32_t count)
+{
+    const svo_bvh *b = s->b;
+    const svo_rays *fast = count > FEW ? b->rays[b->placed[item].asset] : NULL;
+    const svo_view *view = svo_bvh_view(b, item);
+    for (uint32_t k = 0; k < count; k++) {
+        s->grid[k] = svo_bvh_grid_ray(b, item, &s->rays[list[k]]);
+        s->grid[k].t_max = s->t_max[list[k]];
+    }
+    if (s->blocked != NULL) {
+        if (fast != NULL) svo_rays_blocked(fast, s->grid, count, s->dark);
+        else
+            for (uint32_t k = 0; k < count; k++) s->dark[k] = !s->blocked[list[k]] && svoi_ray_blocked(view, s->cache, &s->grid[k]);
+        for (uint32_t k = 0; k < count; k++) s->blocked[list[k]] |= s->dark[k];
+        return;
+    }
+    if (fast != NULL) svo_rays_cast(fast, s->grid, count, s->found);
+    else svoi_raycast(view, s->cache, s->grid, count, s->found);
+    for (uint32_t k = 0; k < count; k++) {
+        svo_scene_hit *best = &s->hits[list[k]];
+        const svo_hit *hit = &s->found[k];
+        if (!hit->hit || (best->node.hit && hit->t == s->t_max[list[k]] && b->placed[item].instance > b->placed[best->item].instance)) continue;
+        s->t_max[list[k]] = hit->t;
+        best->node = *hit;
+        best->item = item;
+    }
+}
+
+/* The first `count` rays of the list, which should go the same way: nodes are visited in the order of the first of them, which matters for the time only. */
+static void stream_traverse(stream *s, uint32_t count)
+{
+    struct { uint32_t node, first, count; } stack[SVOI_BVH_STACK + 2];
+    uint32_t top = 0;
+    stack[top].node = 0, stack[top].first = 0, stack[top++].count = count;
+    while (top != 0) {
+        top--;
+        const svoi_bvh_node *n = &s->b->nodes[stack[top].node];
+        const uint16_t *from = s->list + stack[top].first;
+        uint32_t first = stack[top].first + stack[top].count, kept = 0, all = stack[top].count;
+        uint16_t *to = s->list + first;
+        for (uint32_t k = 0; k < all; k++) {
+            uint16_t i = from[k];
+            if (s->blocked != NULL && s->blocked[i]) continue;
+            if (box_enter(n, &s->slab[i], s->rays[i].t_min, s->t_max[i]) != INFINITY) to[kept++] = i;
+        }
+        if (kept == 0) continue;
+        if (n->count != 0) {
+            for (uint32_t i = n->first; i < n->first + n->count; i++) stream_item(s, i, to, kept);
             continue;
         }
-        svo_rays_cast(b->single, grid, n, found);
-        for (uint32_t k = 0; k < n; k++) {
-            memset(&hits[i + k], 0, sizeof hits[i + k]);
-            if (found[k].hit) hits[i + k].node = found[k];
+        const svoi_bvh_node *child = s->b->nodes + n->first;
+        const slab_ray *r = &s->slab[to[0]];
+        double e0 = box_enter(child, r, s->rays[to[0]].t_min, INFINITY), e1 = box_enter(child + 1, r, s->rays[to[0]].t_min, INFINITY);
+        uint32_t closer = e1 < e0;
+        for (uint32_t k = 0; k < 2; k++) {
+            stack[top].node = n->first + (k == 0 ? !closer : closer);
+            stack[top].first = first, stack[top++].count = kept;
         }
     }
 }
 
-enum { FEW = 4 }; /* rays that are not worth the lanes */
-
-void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits)
+static void trace_stream(const svo_bvh *b, svoi_ray_cache *cache, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits, bool *blocked)
 {
-    if (b->single != NULL && count > FEW) {
-        trace_single(b, rays, count, hits, NULL);
-        return;
-    }
-    svoi_ray_cache cache;
-    svoi_ray_cache_init(&cache, count);
+    stream s;
+    uint8_t octant[SOME];
+    s.b = b, s.cache = cache, s.rays = rays, s.hits = hits, s.blocked = blocked;
     for (uint32_t i = 0; i < count; i++) {
-        memset(&hits[i], 0, sizeof hits[i]);
-        traverse(b, &cache, &rays[i], false, &hits[i]);
+        if (hits != NULL) memset(&hits[i], 0, sizeof hits[i]);
+        else blocked[i] = false;
+        const svo_vec3 d = rays[i].direction;
+        octant[i] = (uint8_t)((d.x < 0) | (d.y < 0) << 1 | (d.z < 0) << 2);
+        s.t_max[i] = rays[i].t_max;
+        if (!make_slab_ray(b, &rays[i], &s.slab[i])) octant[i] = 8;
+    }
+    for (uint8_t o = 0; o < 8; o++) {
+        uint32_t n = 0;
+        for (uint32_t i = 0; i < count; i++)
+            if (octant[i] == o) s.list[n++] = (uint16_t)i;
+        if (n != 0) stream_traverse(&s, n);
     }
 }
 
-void svo_scene_blocked_many(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, bool *blocked)
+/* Any number of rays; hits or blocked is NULL. */
+static void trace_many(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits, bool *blocked)
 {
-    if (b->single != NULL && count > FEW) {
-        trace_single(b, rays, count, NULL, blocked);
-        return;
-    }
-    svo_scene_hit unused;
     svoi_ray_cache cache;
     svoi_ray_cache_init(&cache, count);
-    for (uint32_t i = 0; i < count; i++) blocked[i] = traverse(b, &cache, &rays[i], true, &unused);
+    svo_scene_hit unused;
+    if (b->rays != NULL && b->placed_count != 0 && count > FEW) {
+        for (uint32_t i = 0; i < count; i += SOME) {
+            uint32_t n = count - i < SOME ? count - i : SOME;
+            trace_stream(b, &cache, rays + i, n, hits != NULL ? hits + i : NULL, blocked != NULL ? blocked + i : NULL);
+        }
+        return;
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        if (blocked != NULL) blocked[i] = traverse(b, &cache, &rays[i], true, &unused);
+        else {
+            memset(&hits[i], 0, sizeof hits[i]);
+            traverse(b, &cache, &rays[i], false, &hits[i]);
+        }
+    }
 }
+
+void svo_scene_trace(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, svo_scene_hit *hits) { trace_many(b, rays, count, hits, NULL); }
+
+void svo_scene_blocked_many(const svo_bvh *b, const svo_scene_ray *rays, uint32_t count, bool *blocked) { trace_many(b, rays, count, NULL, blocked); }
 
 bool svo_scene_blocked(const svo_bvh *b, const svo_scene_ray *ray)
 {

@@ -23,7 +23,7 @@ struct svo_bvh {
     svoi_bvh_node *nodes;
     uint64_t placed_count, placed_capacity, node_count, node_capacity;
     double centre[3];
-    svo_rays *single; /* of the only instance, or NULL */
+    svo_rays **rays; /* by asset, NULL where there is none; or NULL */
 };
 
 /* Product of an instance's transform and its asset's voxel_to_world. */

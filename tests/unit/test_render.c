@@ -316,6 +316,82 @@ TEST(what_cannot_be_drawn_is_left_out)
 }
 
 /* Copies that differ by rounding overlap almost wholly: still the nearest, and of equals the first. */
+/* Batches of many rays give what single rays give, in every byte: rays of a camera, of a light, and at random. */
+TEST(instances_traced_many_rays_at_a_time)
+{
+    enum { RAYS = 700 };
+    static svo_scene_ray rays[RAYS];
+    static svo_scene_hit hits[RAYS], one;
+    static bool blocked[RAYS];
+    uint64_t seed = 77, met = 0;
+    for (int round = 0; round < 8 && !test_failed(); round++) {
+        stage s;
+        uint64_t count = round == 0 ? 1 : round == 1 ? 4 : 300;
+        stage_begin(&s, count);
+        stage_asset(&s, make_blob(6, 0.4, 0.02, NULL));
+        stage_asset(&s, make_blob(4, 0.2, 0.3, NULL));
+        stage_asset(&s, packer_make(3, NULL, 0, NULL));
+        for (uint64_t i = 0; i < count; i++) {
+            svo_mat4 m = random_transform(&seed, round == 5 ? 0 : 40);
+            if (round == 6) m = svo_mat4_identity(), m.m[3] = (double)(i / 3); /* many at the same t */
+            stage_instance(&s, count == 1 ? 0 : (uint32_t)(test_random(&seed) % 3), &m);
+        }
+        if (!stage_build(&s, count > 4 ? 5 : 1, 0, 2)) return;
+        svo_rays_options o = svo_default_rays_options();
+        svo_rays_report report;
+        svo_error err;
+        if (round == 7) o.memory = 6000; /* room for the smaller asset */
+        CHECK_OK(svo_bvh_use_rays(s.bvh, &o, &report, &err));
+        for (int kind = 0; kind < 4; kind++) {
+            svo_vec3 eye = random_ray(&seed, 90).origin, light = random_ray(&seed, 1).direction;
+            for (uint32_t i = 0; i < RAYS; i++) {
+                rays[i] = random_ray(&seed, 60);
+                svo_vec3 across = svo_v3((i % 4 + i / 16 % 4 * 4) / 16.0, (i / 4 % 4 + i / 64 * 4) / 16.0, 0.1);
+                if (kind == 1) rays[i].origin = eye, rays[i].direction = svo_sub(svo_v3(across.x * 8, across.y * 8, 0), eye);
+                if (kind == 2) rays[i].origin = svo_scale(across, 20), rays[i].direction = light;
+                if (kind == 3) rays[i].t_min = test_random_unit(&seed), rays[i].t_max = 30 * test_random_unit(&seed), rays[i].spread = 0.05 * (double)(i % 3);
+                if (i % 211 == 17) rays[i].direction.z = NAN;
+            }
+            svo_scene_trace(s.bvh, rays, RAYS, hits);
+            svo_scene_blocked_many(s.bvh, rays, RAYS, blocked);
+            for (uint32_t i = 0; i < RAYS && !test_failed(); i++) {
+                memset(&one, 0, sizeof one);
+                svo_scene_trace(s.bvh, &rays[i], 1, &one);
+                CHECK_MSG(memcmp(&one.node, &hits[i].node, sizeof one.node) == 0 && (!one.node.hit || one.item == hits[i].item), "round %d kind %d ray %u: hit %d %d t %a %a item %u %u", round, kind, i,
+                          hits[i].node.hit, one.node.hit, hits[i].node.t, one.node.t, hits[i].item, one.item);
+                CHECK(blocked[i] == one.node.hit && svo_scene_blocked(s.bvh, &rays[i]) == one.node.hit);
+                met += one.node.hit;
+            }
+        }
+        stage_end(&s);
+    }
+    CHECK(met > 2000);
+    /* every allocation may fail */
+    stage s;
+    stage_begin(&s, 2);
+    stage_asset(&s, make_blob(5, 0.4, 0.03, NULL));
+    stage_asset(&s, make_blob(4, 0.2, 0.3, NULL));
+    svo_mat4 m = svo_mat4_identity();
+    stage_instance(&s, 0, &m), m.m[3] = 3, stage_instance(&s, 1, &m);
+    if (!stage_build(&s, 1, 0, 1)) return;
+    for (uint64_t fail = 1;; fail++) {
+        svo_limit_allocator a;
+        svo_bvh *b = NULL;
+        svo_error err;
+        svo_rays_options o = svo_default_rays_options();
+        svo_limit_allocator_init(&a, 1 << 30, NULL);
+        CHECK_OK(svo_bvh_build(&s.scene, 1, &a.base, NULL, &b, NULL, &err));
+        o.allocator = &a.base;
+        a.fail_at = a.count + fail;
+        svo_result r = svo_bvh_use_rays(b, &o, NULL, &err);
+        CHECK(r == SVO_OK || r == SVO_OUT_OF_MEMORY);
+        svo_bvh_free(b);
+        CHECK_U64(svo_limit_in_use(&a), 0);
+        if (r == SVO_OK || test_failed()) break;
+    }
+    stage_end(&s);
+}
+
 TEST(many_instances_almost_at_one_place)
 {
     stage s;
