@@ -64,7 +64,7 @@ double svo_skin_pick(const uint16_t *bones, const double *weights, uint32_t coun
         left -= w;
     }
     out_bone[0] = bone[0], out_weight[0] = (uint8_t)left;
-    return 1 - kept / total;
+    return fmax(0, 1 - kept / total);
 }
 
 /* The most bones that a triangle's corners have together. */

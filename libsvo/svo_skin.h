@@ -45,7 +45,7 @@ svo_chunk_sink svo_skin_sink(svo_skin *s, const svo_chunk_sink *to);
 enum { SVO_SKIN_CANDIDATES = 16 };
 double svo_skin_pick(const uint16_t *bones, const double *weights, uint32_t count, uint16_t out_bone[SVO_SKIN_BONES], uint8_t out_weight[SVO_SKIN_BONES]);
 
-/* The nearest point of the mesh: its triangle and its weights at the three corners. False when there is no triangle. `near` (may be SVO_NONE) is a triangle that is
+/* The nearest point of the mesh: its triangle and its weights at the three corners. False when there is no triangle. `near` (UINT32_MAX: none) is a triangle that is
  * likely to be close. */
 bool svo_skin_nearest(const svo_skin *s, const double grid[3], uint32_t near, uint32_t *triangle, double weight[3]);
 
