@@ -123,7 +123,7 @@ static box through_slices(const svo_slices *s, bool twist, const double in[12], 
     row_range(in + 4 * s->u, low, high, &u0, &u1);
     if (twist) {
         row_range(in + 4 * s->v, low, high, &v0, &v1);
-        radius = hypot(farthest(u0, u1), farthest(v0, v1));
+        radius = sqrt(farthest(u0, u1) * farthest(u0, u1) + farthest(v0, v1) * farthest(v0, v1));
     } else radius = farthest(1 - rate * u0, 1 - rate * u1) / fabs(rate); /* of the arc; infinite when straight */
     box b = empty_box;
     double away = 0;
@@ -140,7 +140,7 @@ static box through_slices(const svo_slices *s, bool twist, const double in[12], 
     if (!(away == 0)) {
         uint32_t p = s->u, q = twist ? s->v : s->axis;
         for (int i = 0; i < 3; i++) {
-            double w = away * hypot(out[4 * i + (int)p], out[4 * i + (int)q]);
+            double w = away * sqrt(out[4 * i + (int)p] * out[4 * i + (int)p] + out[4 * i + (int)q] * out[4 * i + (int)q]);
             b.low[i] -= w, b.high[i] += w;
         }
     }

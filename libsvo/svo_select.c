@@ -177,8 +177,19 @@ static bool take(const selecting *s, const svo_deform *d, const svo_view *v, con
 
 typedef enum fate { OUTSIDE, BEHIND, TAKE, DESCEND, OVERFLOW } fate;
 
-/* Deform a node and say what is to be done with it. */
-static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, const svo_bones *bones, const visit *n, double edge, double low[3], double high[3])
+/* Bounds of a page relative to the eye, a little wider than they are stored: sines differ in their last bits between machines. */
+static void page_box(const selecting *s, uint32_t page, double low[3], double high[3])
+{
+    const svo_scene_page *g = &s->scene->pages[page];
+    for (int k = 0; k < 3; k++) {
+        double slack = 1e-9 * fmax(fabs(g->low[k]), fabs(g->high[k]));
+        low[k] = g->low[k] - s->origin[k] - slack, high[k] = g->high[k] - s->origin[k] + slack;
+    }
+}
+
+/* Deform a node and say what is to be done with it. The images of all its points are in its box and in the page's, so its box is cut to that: what a page that is not seen
+ * leaves out is then the same as what its nodes would. */
+static fate judge(const selecting *s, const svo_deform *d, uint32_t page, const svo_view *v, const svo_bones *bones, const visit *n, double edge, double low[3], double high[3])
 {
     double from[3], to[3], size;
     for (int k = 0; k < 3; k++) from[k] = n->cell[k] * edge, to[k] = from[k] + edge;
@@ -186,6 +197,11 @@ static fate judge(const selecting *s, const svo_deform *d, const svo_view *v, co
     else svo_deform_box(d, SVO_NO_BONE, from, to, low, high);
     for (int k = 0; k < 3; k++)
         if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return OVERFLOW;
+    page_box(s, page, from, to);
+    for (int k = 0; k < 3; k++) {
+        low[k] = fmax(low[k], from[k]), high[k] = fmin(high[k], to[k]);
+        if (low[k] > high[k]) return OUTSIDE;
+    }
     sight seen = project(s, low, high, &size);
     if (seen != SEEN) return seen == HIDDEN ? BEHIND : OUTSIDE;
     if (n->level >= v->depth) return TAKE;
@@ -222,7 +238,7 @@ static svo_result run_job(const selecting *s, const job *j, output *out, svo_err
         visit n = stack[--top];
         double low[3], high[3], edge = ldexp(1, (int)(v->depth - n.level));
         out->report.visited++;
-        switch (judge(s, &d, v, bones_of(s, &d, j->instance), &n, edge, low, high)) {
+        switch (judge(s, &d, j->page, v, bones_of(s, &d, j->instance), &n, edge, low, high)) {
         case OVERFLOW:
             out->boxes.size = (size_t)first;
             out->report.overflowed++;
@@ -261,7 +277,7 @@ static bool wanted(const selecting *s, uint64_t instance)
 static sight see_page(const selecting *s, uint32_t page)
 {
     double low[3], high[3], size;
-    for (int k = 0; k < 3; k++) low[k] = s->scene->pages[page].low[k] - s->origin[k], high[k] = s->scene->pages[page].high[k] - s->origin[k];
+    page_box(s, page, low, high);
     return project(s, low, high, &size);
 }
 
@@ -344,7 +360,7 @@ static svo_result split_jobs(selecting *s, svo_buffer *jobs, svo_error *err)
             svo_deform d = deform_of(s, j);
             double low[3], high[3];
             if (j->top.level != round || j->top.level + 6u > v->depth ||
-                judge(s, &d, v, bones_of(s, &d, j->instance), &j->top, ldexp(1, (int)(v->depth - j->top.level)), low, high) != DESCEND) {
+                judge(s, &d, j->page, v, bones_of(s, &d, j->instance), &j->top, ldexp(1, (int)(v->depth - j->top.level)), low, high) != DESCEND) {
                 ok = svo_buffer_append(&more, j, sizeof *j) != NULL;
                 continue;
             }
@@ -432,7 +448,7 @@ static svo_result cut(const selecting *s, const job *whole, svo_buffer *to, svo_
     while (top != 0) {
         job part = {stack[--top], whole->page, whole->instance};
         double low[3], high[3], size = 0;
-        fate f = judge(s, &d, v, bones_of(s, &d, whole->instance), &part.top, ldexp(1, (int)(v->depth - part.top.level)), low, high);
+        fate f = judge(s, &d, whole->page, v, bones_of(s, &d, whole->instance), &part.top, ldexp(1, (int)(v->depth - part.top.level)), low, high);
         if (f == OUTSIDE || f == BEHIND) continue;
         if (f == DESCEND) {
             svoi_rect r = svoi_project(&s->look, low, high);
@@ -456,7 +472,7 @@ static svo_result cut_pages(const selecting *s, const job *pages, uint64_t count
             continue;
         }
         double low[3], high[3];
-        for (int k = 0; k < 3; k++) low[k] = g->low[k] - s->origin[k], high[k] = g->high[k] - s->origin[k];
+        page_box(s, pages[n].page, low, high);
         svoi_rect r = svoi_project(&s->look, low, high);
         double size = fmax(r.x1 - r.x0, r.y1 - r.y0), apart = sqrt((double)g->count);
         if (size / apart < 24) { /* its instances are small */
