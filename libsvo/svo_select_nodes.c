@@ -1,0 +1,254 @@
+/* From the top of a subtree down: deform a node, look where it is in the picture, take it, leave it out or go on with its children. */
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "svoi_select_jobs.h"
+
+/* ---- a box in the picture -------------------------------------------------------------------------------------------- */
+
+/* Hidden where all samples that it, or cells made of it, can cover show something nearer. */
+static bool is_hidden(const svoi_selecting *s, const double low[3], const double high[3], const svoi_rect *r)
+{
+    double shortest = INFINITY, longest = 0, l[3], h[3];
+    for (int k = 0; k < 3; k++) shortest = fmin(shortest, high[k] - low[k]), longest = fmax(longest, high[k] - low[k]);
+    double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
+    svoi_rect wide = *r;
+    if (over > 0) {
+        for (int k = 0; k < 3; k++) l[k] = low[k] - over, h[k] = high[k] + over;
+        wide = svoi_project(&s->look, l, h);
+    }
+    if (wide.near <= 0) return false;
+    svoi_span samples = svoi_samples(&s->look, &wide);
+    return svoi_depth_hides(&s->depth, &samples, wide.near * (1 - 1e-6));
+}
+
+/* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. */
+static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size)
+{
+    svoi_rect r = svoi_project(&s->look, low, high);
+    *size = fmax(r.x1 - r.x0, r.y1 - r.y0);
+    if (s->o->frustum && (r.far <= 0 || svoi_outside(&s->look, low, high))) return SVOI_OUT_OF_SIGHT;
+    if (s->o->occlusion && is_hidden(s, low, high, &r)) return SVOI_HIDDEN;
+    return SVOI_SEEN;
+}
+
+/* Behind the eye there is no picture: what a box of that size would show at its distance. */
+static double size_at_distance(const svoi_selecting *s, const double low[3], const double high[3])
+{
+    double longest = 0, near = 0;
+    for (int k = 0; k < 3; k++) {
+        longest = fmax(longest, high[k] - low[k]);
+        double away = fmax(0, fmax(low[k], -high[k]));
+        near += away * away;
+    }
+    return s->look.focal * longest / sqrt(near);
+}
+
+/* ---- nodes ----------------------------------------------------------------------------------------------------------- */
+
+/* Nodes inside a full leaf that touch none of its faces are never seen. */
+static bool at_surface(const svoi_visit *n)
+{
+    uint32_t mask = (1u << (n->level - n->full_level)) - 1;
+    for (int k = 0; k < 3; k++) {
+        uint32_t local = n->cell[k] & mask;
+        if (local == 0 || local == mask) return true;
+    }
+    return false;
+}
+
+uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8])
+{
+    uint32_t count = 0;
+    uint8_t mask;
+    uint64_t brick = 0;
+    bool octant_of_brick = n->level + 1u == v->depth, inner = n->level < v->brick_level;
+    if (n->node.full) mask = 0xff;
+    else if (octant_of_brick) mask = (uint8_t)n->node.at; /* its byte of the brick, see below and root_of */
+    else if (inner) mask = svo_view_mask(v, n->level, n->node);
+    else {
+        brick = svo_view_brick(v, n->node);
+        uint64_t octants = svo_brick_octants(brick);
+        mask = 0;
+        for (uint32_t a = 0; a < 8; a++) mask |= (uint8_t)((octants >> 8 * a & 1) << a);
+    }
+    for (uint32_t m = mask; m != 0; m &= m - 1) {
+        uint32_t octant = (uint32_t)__builtin_ctz(m);
+        svoi_visit *c = &out[count];
+        *c = (svoi_visit){.level = (uint8_t)(n->level + 1), .full_level = n->full_level};
+        for (uint32_t k = 0; k < 3; k++) c->cell[k] = 2 * n->cell[k] + (octant >> k & 1);
+        if (n->node.full) {
+            c->node = n->node;
+            if (!at_surface(c)) continue;
+        } else if (octant_of_brick) { /* voxels: with lod the octant's own attribute comes first */
+            uint32_t before = (uint32_t)__builtin_popcount((uint32_t)n->node.at & ((1u << octant) - 1));
+            c->node.attribute = v->unnumbered ? 0 : n->node.attribute + (v->lod ? 1 : 0) + before;
+        } else if (inner) {
+            c->node = svo_view_child(v, n->level, n->node, octant);
+            if (c->node.full) c->full_level = c->level;
+        } else {
+            c->node.attribute = svo_view_brick_octant(v, n->node, brick, octant);
+            c->node.at = brick >> 8 * octant & 0xff;
+        }
+        count++;
+    }
+    return count;
+}
+
+static const svo_bone_range resting = {SVO_NO_BONE, 255, 255, {0, 0}};
+
+static double edge_of(const svoi_posed *p, const svoi_visit *n) { return ldexp(1, (int)(p->view->depth - n->level)); }
+
+static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, const double low[3], const double high[3], svoi_output *out)
+{
+    svo_selected b = {.instance = (uint32_t)p->instance, .attribute = n->node.attribute};
+    for (int k = 0; k < 3; k++) {
+        b.low[k] = (float)low[k], b.high[k] = (float)high[k];
+        if (b.low[k] > low[k]) b.low[k] = nextafterf(b.low[k], -INFINITY);
+        if (b.high[k] < high[k]) b.high[k] = nextafterf(b.high[k], INFINITY);
+    }
+    svo_vec3 normal = {0, 0, 0};
+    uint32_t channel = s->normal_channel[s->scene->instance_asset[p->instance]];
+    if (channel != SVO_MAX_CHANNELS) {
+        uint8_t value[SVO_MAX_STRIDE];
+        float f[3];
+        double edge = edge_of(p, n);
+        svo_view_attribute(p->view, channel, n->node.attribute, value);
+        svo_oct32_decode(value, f);
+        svo_bone_list list = p->bones != NULL ? svo_bones_at(p->bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
+        svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};
+        normal = svo_deform_blended_normal(&p->map, list, middle, edge, svo_v3(f[0], f[1], f[2]));
+    }
+    if (svo_dot(normal, normal) == 0) normal = svo_normalize(svo_v3(-0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -0.5 * (low[2] + high[2])));
+    float f[3] = {(float)normal.x, (float)normal.y, (float)normal.z};
+    svo_oct32_encode(f, b.normal);
+    out->report.selected++;
+    out->report.finest += n->level == p->view->depth;
+    if (s->o->occlusion) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
+    return svo_buffer_append(&out->boxes, &b, sizeof b) != NULL;
+}
+
+void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double high[3])
+{
+    const svo_scene_page *g = &s->scene->pages[page];
+    for (int k = 0; k < 3; k++) {
+        double slack = 1e-9 * fmax(fabs(g->low[k]), fabs(g->high[k]));
+        low[k] = g->low[k] - s->origin[k] - slack, high[k] = g->high[k] - s->origin[k] + slack;
+    }
+}
+
+/* The images of all points of a node are in its box and in the page's, so its box is cut to that: what a page that is not seen leaves out is then the same as what its
+ * nodes would. */
+svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3])
+{
+    double from[3], to[3], size, edge = edge_of(p, n);
+    for (int k = 0; k < 3; k++) from[k] = n->cell[k] * edge, to[k] = from[k] + edge;
+    if (p->bones != NULL) svo_deform_blended_box(&p->map, svo_bones_at(p->bones, n->level, n->cell), from, to, low, high);
+    else svo_deform_box(&p->map, SVO_NO_BONE, from, to, low, high);
+    for (int k = 0; k < 3; k++)
+        if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return SVOI_OVERFLOW;
+    svoi_page_box(s, p->page, from, to);
+    for (int k = 0; k < 3; k++) {
+        low[k] = fmax(low[k], from[k]), high[k] = fmin(high[k], to[k]);
+        if (low[k] > high[k]) return SVOI_OUTSIDE;
+    }
+    svoi_sight seen = project(s, low, high, &size);
+    if (seen != SVOI_SEEN) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
+    if (n->level >= p->view->depth) return SVOI_TAKE;
+    if (s->o->whole) return SVOI_DESCEND;
+    if (size == INFINITY) size = size_at_distance(s, low, high);
+    return size < s->o->delta ? SVOI_TAKE : SVOI_DESCEND;
+}
+
+svoi_posed svoi_posed_make(const svoi_selecting *s, uint32_t page, uint64_t instance)
+{
+    const svo_scene *scene = s->scene;
+    uint32_t asset = scene->instance_asset[instance];
+    svoi_posed p = {.view = scene->assets[asset], .page = page, .instance = instance};
+    svo_mat4 grid, place = svo_scene_instance_transform(scene, page, instance);
+    memcpy(grid.m, p.view->voxel_to_world, sizeof grid.m);
+    for (int k = 0; k < 3; k++) place.m[4 * k + 3] -= s->origin[k];
+    p.map = svo_deform_make(&scene->poses, svo_scene_instance_pose(scene, instance), &grid, &place);
+    if ((p.map.flags & SVO_POSE_BONES) != 0) p.bones = s->bones[asset];
+    return p;
+}
+
+static svo_result run_job(const svoi_selecting *s, const svoi_job *j, svoi_output *out, svo_error *err)
+{
+    svoi_posed p = svoi_posed_make(s, j->page, j->instance);
+    svoi_visit stack[8 * SVO_MAX_DEPTH + 8], next[8];
+    uint32_t top = 0;
+    uint64_t first = out->boxes.size;
+    stack[top++] = j->top;
+    while (top != 0) {
+        svoi_visit n = stack[--top];
+        double low[3], high[3];
+        out->report.visited++;
+        switch (svoi_judge(s, &p, &n, low, high)) {
+        case SVOI_OVERFLOW:
+            out->boxes.size = (size_t)first;
+            out->report.overflowed++;
+            return SVO_OK;
+        case SVOI_OUTSIDE: out->report.outside++; break;
+        case SVOI_BEHIND: out->report.hidden++; break;
+        case SVOI_TAKE:
+            if (!take(s, &p, &n, low, high, out)) return svoi_select_no_memory(err);
+            break;
+        case SVOI_DESCEND: {
+            uint32_t count = svoi_children(p.view, &n, next);
+            while (count != 0) stack[top++] = next[--count];
+        }
+        }
+    }
+    return SVO_OK;
+}
+
+/* Levels above the root of an octree of depth 0 or 1 are virtual: begin at its root all the same. */
+svoi_visit svoi_root_of(const svo_view *v)
+{
+    svoi_visit n = {.node = svo_view_root(v)};
+    if (v->depth >= 2) return n;
+    uint64_t brick = svo_view_brick(v, n.node);
+    if (v->depth == 0) n.node.attribute = svo_view_brick_voxel(v, n.node, brick, 0);
+    else n.node.attribute = svo_view_brick_octant(v, n.node, brick, 0), n.node.at = brick & 0xff;
+    return n;
+}
+
+bool svoi_wanted(const svoi_selecting *s, uint64_t instance)
+{
+    const svo_scene *scene = s->scene;
+    return !s->copy[instance] && !scene->assets[scene->instance_asset[instance]]->empty && (s->o->everything || svo_scene_instance_pose(scene, instance) != NULL);
+}
+
+svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page)
+{
+    double low[3], high[3], size;
+    svoi_page_box(s, page, low, high);
+    return project(s, low, high, &size);
+}
+
+static svo_result run_page(const svoi_selecting *s, uint32_t page, svoi_output *out, svo_error *err)
+{
+    const svo_scene_page *g = &s->scene->pages[page];
+    if (svoi_see_page(s, page) != SVOI_SEEN) return SVO_OK;
+    out->report.pages_seen++;
+    for (uint64_t i = g->first; i < g->first + g->count; i++) {
+        if (!svoi_wanted(s, i)) continue;
+        svoi_job j = {svoi_root_of(s->scene->assets[s->scene->instance_asset[i]]), page, i};
+        SVO_TRY(run_job(s, &j, out, err));
+    }
+    return SVO_OK;
+}
+
+svo_result svoi_run_jobs(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    svoi_selecting *s = user;
+    svoi_output *out = &s->outputs[worker];
+    for (uint64_t i = begin; i < end; i++) {
+        s->spans[i] = (svoi_job_span){worker, out->boxes.size / sizeof(svo_selected), 0};
+        SVO_TRY(s->jobs[i].instance == SVOI_WHOLE_PAGE ? run_page(s, s->jobs[i].page, out, err) : run_job(s, &s->jobs[i], out, err));
+        s->spans[i].count = out->boxes.size / sizeof(svo_selected) - s->spans[i].first;
+    }
+    return SVO_OK;
+}
