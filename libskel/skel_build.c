@@ -14,7 +14,7 @@ skel_options skel_default_options(void)
 {
     skel_options o;
     memset(&o, 0, sizeof o);
-    o.omega = 0.025;
+    o.omega = 0.0125;
     o.place = SKEL_PLACE_INSIDE;
     return o;
 }

@@ -93,7 +93,7 @@ typedef struct skel_options {
 #define SKEL_MIN_OMEGA 1e-4
 #define SKEL_MAX_OMEGA 4.0
 
-/* omega 0.025, place INSIDE, everything else 0. */
+/* omega 0.0125, place INSIDE, everything else 0. */
 skel_options skel_default_options(void);
 
 typedef struct skel_joint {

@@ -5,14 +5,13 @@
 
 #include "skeli_curve.h"
 
-enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, SMOOTH_ROUNDS = 3 };
+enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, RELAX_FIRST = 60, RELAX_LAST = 100, RELAX_PULLED = 24 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define FLAT_RAYS 2.0   /* a ray counts up to so many medians: one that runs along another limb says nothing about this one */
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
-#define GENTLE 0.85     /* a turn by 30 degrees is a bend of the limb, not a zig-zag */
 #define SPACE 0.5       /* of the radius: joints of a chain are at least that far apart */
 #define LONG_BONE 5.0   /* omega: straight limbs keep a joint now and then, for what is done with the bones afterwards */
-#define STICKS_OUT 1.3  /* way to the tip by the radius at the root of a branch; less is no branch */
+#define STICKS_OUT 1.45 /* way to the tip by the radius at the root of a branch; less is no branch */
 
 static double length3(const double *d) { return sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]); }
 
@@ -37,6 +36,12 @@ static bool push_inside(const skeli_surface *s, double *p)
     if (!skeli_surface_inside(s, q)) return false;
     memcpy(p, q, sizeof q);
     return true;
+}
+
+static void push_joints_inside(const skeli_surface *s, skeli_curve *c)
+{
+    for (uint32_t j = 0; j < c->joints; j++)
+        if (!skeli_surface_inside(s, c->position + 3 * (uint64_t)j)) push_inside(s, c->position + 3 * (uint64_t)j);
 }
 
 static void across(const double *d, double *u, double *v)
@@ -172,8 +177,7 @@ static svo_result centre_branches(skeli_pool *pool, const skeli_surface *s, skel
 static svo_result centre_chains(skeli_pool *pool, const skeli_surface *s, skeli_curve *c, svo_error *err)
 {
     skeli_chains chains;
-    for (uint32_t j = 0; j < c->joints; j++)
-        if (!skeli_surface_inside(s, c->position + 3 * (uint64_t)j)) push_inside(s, c->position + 3 * (uint64_t)j);
+    push_joints_inside(s, c);
     SVO_TRY(skeli_chains_make(pool, c, &chains, err));
     for (int step = 0; step < CENTRE_STEPS; step++)
         for (uint32_t k = 0; k < chains.count; k++) {
@@ -217,7 +221,7 @@ static svo_result thin_chains(skeli_pool *pool, const skeli_soup *mesh, const sk
                 double space = fmax(omega, SPACE * radius);
                 drop = apart(a, p) < space || (apart(p, c->position + 3 * (uint64_t)chain[n - 1]) < space);
             } else {
-                double tolerance = fmin(fmax(omega / 4, radius / 30), omega / 2), foot;
+                double tolerance = fmin(fmax(omega / 8, radius / 60), omega / 4), foot;
                 const double *b = c->position + 3 * (uint64_t)chain[i + 1];
                 drop = way_outside(s, a, b, omega) <= way_outside(s, a, p, omega) + way_outside(s, p, b, omega);
                 drop = drop && apart(a, b) <= fmax(LONG_BONE * omega, 3 * radius);
@@ -421,26 +425,6 @@ static svo_result drop_stubs(skeli_pool *pool, const skeli_soup *mesh, const ske
     }
 }
 
-/* Take out what is left of zig-zags, which another triangulation or position of the same shape would not have: towards the middle of the neighbours, where that is inside. */
-static svo_result smooth_chains(skeli_pool *pool, const skeli_surface *s, double omega, skeli_curve *c, svo_error *err)
-{
-    skeli_chains chains;
-    SVO_TRY(skeli_chains_make(pool, c, &chains, err));
-    for (int round = 0; round < SMOOTH_ROUNDS; round++)
-        for (uint32_t k = 0; k < chains.count; k++) {
-            const uint32_t *chain = chains.joint + chains.start[k], n = chains.start[k + 1] - chains.start[k];
-            for (uint32_t i = 1; i + 1 < n; i++) {
-                double *p = c->position + 3 * (uint64_t)chain[i], q[3];
-                const double *a = c->position + 3 * (uint64_t)chain[i - 1], *b = c->position + 3 * (uint64_t)chain[i + 1];
-                if (turn(a, p, b) > GENTLE) continue;
-                for (int e = 0; e < 3; e++) q[e] = p[e] / 2 + (a[e] + b[e]) / 4;
-                if (way_outside(s, a, q, omega) + way_outside(s, q, b, omega) <= way_outside(s, a, p, omega) + way_outside(s, p, b, omega)) memcpy(p, q, sizeof q);
-            }
-        }
-    skeli_chains_free(pool, &chains);
-    return SVO_OK;
-}
-
 svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
 {
     skeli_fans fans;
@@ -449,14 +433,19 @@ svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_su
     SVO_TRY(divide(pool, mesh, surface, omega, c, err));
     SVO_TRY(thin_chains(pool, mesh, surface, omega, true, c, err));
     SVO_TRY(centre_chains(pool, surface, c, err));
+    SVO_TRY(skeli_split_branches(pool, surface, c, err));
+    SVO_TRY(skeli_relax(pool, surface, RELAX_FIRST, c, err));
     SVO_TRY(skeli_fans_make(pool, c, &fans, err));
     reach_tips(surface, &fans, c);
     skeli_fans_free(pool, &fans);
     SVO_TRY(drop_stubs(pool, mesh, surface, c, err));
     SVO_TRY(divide(pool, mesh, surface, omega, c, err)); /* the ends are farther out now, and chains may have grown together */
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
-    SVO_TRY(centre_chains(pool, surface, c, err));
+    push_joints_inside(surface, c);
+    SVO_TRY(skeli_relax(pool, surface, RELAX_LAST, c, err));
+    SVO_TRY(skeli_merge_branches(pool, mesh, omega, c, err));
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
-    SVO_TRY(smooth_chains(pool, surface, omega, c, err));
+    SVO_TRY(skeli_relax(pool, surface, RELAX_PULLED, c, err)); /* points that were put inside lie near the surface */
+    SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     return thin_chains(pool, mesh, surface, omega, false, c, err);
 }

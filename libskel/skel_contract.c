@@ -192,7 +192,7 @@ static svo_result sweep(contraction *c, movement *m, svo_error *err)
     SVO_TRY(ball_means(c, err));
     SVO_TRY(each(c, s->triangle_count, triangle_areas, s));
     SVO_TRY(each(c, s->count, thickness, s));
-    double *from = s->position, *to = s->next, *spare = s->gather;
+    double *from = s->position, *to = s->next, *spare = s->next + 3 * (uint64_t)s->original_count;
     int steps = c->fast ? SMOOTHING_STEPS : 1;
     for (int i = 0; i < steps; i++) {
         smoothing work = {s, from, to};
@@ -206,11 +206,44 @@ static svo_result sweep(contraction *c, movement *m, svo_error *err)
 
 /* --- state -------------------------------------------------------------------------------------------------------- */
 
+/* Edges in both directions. They are made distinct in one direction first: most are sides of two triangles, and it is here that the run needs most memory. Before
+ * the large arrays of the state are taken. */
+static svo_result begin_edges(skeli_pool *pool, const skeli_soup *mesh, skeli_state *s, svo_error *err)
+{
+    uint64_t f = mesh->triangle_count, n = 0;
+    uint32_t *side = skeli_take(pool, 6 * f, sizeof *side), *scratch = skeli_take(pool, 6 * f, sizeof *scratch);
+    s->bucket = skeli_take(pool, (uint64_t)mesh->vertex_count + 2, sizeof *s->bucket);
+    if (side == NULL || scratch == NULL || s->bucket == NULL) return skeli_no_memory(err);
+    for (uint64_t t = 0; t < f; t++) {
+        const uint32_t *c = mesh->corner + 3 * t; /* they ascend */
+        for (int k = 0; k < 3; k++) {
+            uint32_t a = c[k == 2 ? 0 : k], b = c[k == 2 ? 2 : k + 1];
+            if (a == b) continue;
+            side[2 * n] = a;
+            side[2 * n++ + 1] = b;
+        }
+    }
+    n = skeli_sort_unique(side, n, 2, mesh->vertex_count, scratch, s->bucket);
+    skeli_give(pool, scratch);
+    s->edge = skeli_take(pool, 4 * n, sizeof *s->edge);
+    if (s->edge == NULL) return skeli_no_memory(err);
+    for (uint64_t e = 0; e < n; e++) {
+        s->edge[4 * e] = s->edge[4 * e + 3] = side[2 * e];
+        s->edge[4 * e + 1] = s->edge[4 * e + 2] = side[2 * e + 1];
+    }
+    skeli_give(pool, side);
+    s->scratch = skeli_take(pool, 4 * n > 3 * f ? 4 * n : 3 * f, sizeof *s->scratch);
+    if (s->scratch == NULL) return skeli_no_memory(err);
+    s->edge_count = skeli_sort_unique(s->edge, 2 * n, 2, mesh->vertex_count, s->scratch, s->bucket);
+    return SVO_OK;
+}
+
 static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_state *s, svo_error *err)
 {
-    uint64_t n = mesh->vertex_count, f = mesh->triangle_count, edges = 6 * f;
+    uint64_t n = mesh->vertex_count, f = mesh->triangle_count;
     memset(s, 0, sizeof *s);
     s->count = s->original_count = mesh->vertex_count;
+    SVO_TRY(begin_edges(pool, mesh, s, err));
     s->position = skeli_take(pool, 3 * n, sizeof *s->position);
     s->weight = skeli_take(pool, n, sizeof *s->weight);
     s->rho = skeli_take(pool, n, sizeof *s->rho);
@@ -218,22 +251,18 @@ static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_st
     s->step = skeli_take(pool, 3 * n, sizeof *s->step);
     s->reversals = skeli_take(pool, n, sizeof *s->reversals);
     s->corner = skeli_take(pool, 3 * f, sizeof *s->corner);
-    s->edge = skeli_take(pool, 2 * edges, sizeof *s->edge);
     s->edge_start = skeli_take(pool, n + 1, sizeof *s->edge_start);
     s->incident_start = skeli_take(pool, n + 1, sizeof *s->incident_start);
     s->incident = skeli_take(pool, 3 * f, sizeof *s->incident);
     s->area = skeli_take(pool, f, sizeof *s->area);
     s->live = skeli_take(pool, n, sizeof *s->live);
-    s->scratch = skeli_take(pool, 2 * edges, sizeof *s->scratch);
-    s->bucket = skeli_take(pool, n + 2, sizeof *s->bucket);
     s->label = skeli_take(pool, n, sizeof *s->label);
     s->mean = skeli_take(pool, 3 * n, sizeof *s->mean);
-    s->next = skeli_take(pool, 3 * n, sizeof *s->next);
-    s->gather = skeli_take(pool, 8 * n, sizeof *s->gather);
+    s->next = s->gather = skeli_take(pool, 8 * n, sizeof *s->gather); /* never at the same time */
     if (s->position == NULL || s->weight == NULL || s->rho == NULL || s->beta == NULL || s->step == NULL || s->reversals == NULL ||
-        s->corner == NULL || s->edge == NULL || s->edge_start == NULL || s->incident_start == NULL || s->incident == NULL ||
-        s->area == NULL || s->live == NULL || s->scratch == NULL || s->bucket == NULL || s->label == NULL || s->mean == NULL ||
-        s->next == NULL || s->gather == NULL)
+        s->corner == NULL || s->edge_start == NULL || s->incident_start == NULL || s->incident == NULL ||
+        s->area == NULL || s->live == NULL || s->bucket == NULL || s->label == NULL || s->mean == NULL ||
+        s->gather == NULL)
         return skeli_no_memory(err);
     for (uint64_t i = 0; i < 3 * n; i++) s->position[i] = mesh->position[i];
     memset(s->step, 0, 3 * n * sizeof *s->step);
@@ -247,16 +276,7 @@ static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_st
     for (uint64_t t = 0; t < f; t++) {
         const uint32_t *c = mesh->corner + 3 * t;
         if (c[0] != c[1] && c[1] != c[2]) memcpy(s->corner + 3 * (uint64_t)s->triangle_count++, c, 3 * sizeof *c);
-        for (int k = 0; k < 3; k++) {
-            uint32_t a = c[k], b = c[(k + 1) % 3];
-            if (a == b) continue;
-            uint32_t *e = s->edge + 2 * s->edge_count;
-            e[0] = e[3] = a;
-            e[1] = e[2] = b;
-            s->edge_count += 2;
-        }
     }
-    s->edge_count = skeli_sort_unique(s->edge, s->edge_count, 2, s->count, s->scratch, s->bucket);
     skeli_index(s);
     return SVO_OK;
 }
@@ -361,7 +381,7 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
     skeli_give(pool, c.order);
     skeli_give(pool, c.key);
     void *const rest[] = {s->rho, s->beta, s->step, s->reversals, s->corner, s->edge, s->edge_start, s->incident_start, s->incident, s->area, s->scratch, s->bucket, s->label,
-                          s->mean, s->next, s->gather};
+                          s->mean, s->gather};
     for (size_t i = 0; i < sizeof rest / sizeof *rest; i++) skeli_give(pool, rest[i]);
     return SVO_OK;
 }

@@ -60,27 +60,10 @@ static void load(const skeli_soup *soup, uint64_t t, double p[3][3])
         for (uint64_t e = 0; e < 3; e++) p[k][e] = soup->position[3 * (uint64_t)soup->corner[3 * t + k] + e];
 }
 
-/* Nearest point of a segment or, where the foot of the perpendicular is inside, of the triangle. */
-static double triangle_distance2(const double t[3][3], const double *p, double *nearest)
+/* Of a needle, whose plane is not known: the nearest point of its sides. */
+static double needle_distance2(const double t[3][3], const double *p, double *nearest)
 {
-    double best = INFINITY, u[3], v[3], w[3];
-    for (int k = 0; k < 3; k++) {
-        u[k] = t[1][k] - t[0][k];
-        v[k] = t[2][k] - t[0][k];
-        w[k] = p[k] - t[0][k];
-    }
-    double uu = dot3(u, u), uv = dot3(u, v), vv = dot3(v, v), wu = dot3(w, u), wv = dot3(w, v), det = uu * vv - uv * uv;
-    if (det > 1e-12 * uu * vv) {
-        double a = (wu * vv - wv * uv) / det, b = (wv * uu - wu * uv) / det;
-        if (a >= 0 && b >= 0 && a + b <= 1) {
-            best = 0;
-            for (int k = 0; k < 3; k++) {
-                nearest[k] = t[0][k] + a * u[k] + b * v[k];
-                best += (p[k] - nearest[k]) * (p[k] - nearest[k]);
-            }
-            return best;
-        }
-    }
+    double best = INFINITY;
     for (int e = 0; e < 3; e++) {
         const double *a = t[e], *b = t[(e + 1) % 3];
         double foot, d = skeli_segment_distance(p, a, b, &foot);
@@ -91,14 +74,57 @@ static double triangle_distance2(const double t[3][3], const double *p, double *
     return best;
 }
 
+/* Nearest point of a triangle by the region of its plane that p is over: corners, sides, inside (Ericson, Real-Time Collision Detection, 5.1.5). */
+static double triangle_distance2(const double t[3][3], const double *p, double *nearest)
+{
+    double u[3], v[3], a[3], f = 0, g = 0;
+    for (int k = 0; k < 3; k++) {
+        u[k] = t[1][k] - t[0][k];
+        v[k] = t[2][k] - t[0][k];
+        a[k] = p[k] - t[0][k];
+    }
+    double d1 = dot3(u, a), d2 = dot3(v, a), uu = dot3(u, u), uv = dot3(u, v), vv = dot3(v, v);
+    double d3 = d1 - uu, d4 = d2 - uv, d5 = d1 - uv, d6 = d2 - vv; /* the same from the second and the third corner */
+    if (!(uu * vv - uv * uv > 1e-12 * uu * vv)) return needle_distance2(t, p, nearest);
+    double x = d3 * d6 - d5 * d4, y = d5 * d2 - d1 * d6, z = d1 * d4 - d3 * d2;
+    if (d1 <= 0 && d2 <= 0) { /* first corner: f = g = 0 */
+    } else if (d3 >= 0 && d4 <= d3) {
+        f = 1;
+    } else if (d6 >= 0 && d5 <= d6) {
+        g = 1;
+    } else if (z <= 0 && d1 >= 0 && d3 <= 0) {
+        f = d1 > d3 ? d1 / (d1 - d3) : 0;
+    } else if (y <= 0 && d2 >= 0 && d6 <= 0) {
+        g = d2 > d6 ? d2 / (d2 - d6) : 0;
+    } else if (x <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) {
+        g = d4 - d3 + d5 - d6 > 0 ? (d4 - d3) / (d4 - d3 + d5 - d6) : 0;
+        f = 1 - g;
+    } else {
+        double n = 1 / (x + y + z);
+        f = y * n;
+        g = z * n;
+    }
+    double best = 0;
+    for (int k = 0; k < 3; k++) {
+        nearest[k] = t[0][k] + f * u[k] + g * v[k];
+        best += (p[k] - nearest[k]) * (p[k] - nearest[k]);
+    }
+    return best;
+}
+
 double skeli_surface_distance(const skeli_surface *s, const double p[3], double most, double nearest[3])
 {
+    return skeli_surface_clearance(s, p, 0, most, nearest);
+}
+
+double skeli_surface_clearance(const skeli_surface *s, const double p[3], double least, double most, double nearest[3])
+{
     if (s->levels == 0) return most;
-    double best2 = most * most;
+    double best2 = most * most, least2 = least * least;
     place stack[2 * SKELI_SURFACE_LEVELS];
     int n = 0;
     stack[n++] = (place){s->levels - 1, 0, box_distance2(s->box + 6 * s->first[s->levels - 1], p)};
-    while (n > 0) {
+    while (n > 0 && best2 > least2) {
         place top = stack[--n];
         if (!(top.key < best2)) continue;
         if (top.level == 0) {

@@ -151,7 +151,7 @@ void skeli_index(skeli_state *s)
         for (int k = 0; k < 3; k++) s->incident[s->bucket[s->corner[3 * (uint64_t)t + (uint64_t)k]]++] = t;
 }
 
-/* Sums over each group into s->gather: weight, 3 position, 3 step, then beta and rho into mean/next (as 2 columns). */
+/* Sums over each group into s->gather: weight, 3 position, 3 step, then beta; rho and reversals into mean. */
 static void gather_groups(skeli_state *s, uint32_t groups)
 {
     memset(s->gather, 0, (size_t)groups * 8 * sizeof *s->gather);

@@ -39,6 +39,11 @@ svo_result skeli_close_false_loops(skeli_pool *pool, const skeli_soup *mesh, con
 /* Let bones follow the bends of their limb, put joints into the middle of the sections across them, bones inside the solid, ends where their ball touches
  * the tip; drop branches that do not stick out. */
 svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err);
+/* Joints but ends to where the curve is shortest, near the surface being far (skel_relax.c). */
+svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err);
+/* Branches of four and more bones become several of three; those of three that are joined by a bone shorter than `nearer` one. */
+svo_result skeli_split_branches(skeli_pool *pool, const skeli_surface *surface, skeli_curve *c, svo_error *err);
+svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double nearer, skeli_curve *c, svo_error *err);
 /* Is most of the curve inside, so that "inside" means something? */
 bool skeli_mostly_inside(const skeli_surface *surface, const skeli_curve *c);
 

@@ -33,6 +33,8 @@ void skeli_surface_free(skeli_surface *s);
 
 /* Distance of p to the surface, but not more than `most`; *nearest (may be NULL) only where it is less. */
 double skeli_surface_distance(const skeli_surface *s, const double p[3], double most, double nearest[3]);
+/* The same for callers who have no use for distances up to `least`: the search ends at the first one. */
+double skeli_surface_clearance(const skeli_surface *s, const double p[3], double least, double most, double nearest[3]);
 /* How far along the unit vector d the surface is first met, `most` when not before. */
 double skeli_surface_ray(const skeli_surface *s, const double p[3], const double d[3], double most);
 /* Generalised winding number above 1/2. */

@@ -19,7 +19,6 @@ enum { MAX_COMPONENTS = 256 }; /* in the report; all are counted */
 
 typedef struct tool_options {
     double omega, delta;
-    bool has_omega;
     uint64_t max_iterations, max_vertices;
     int method, normalize, search, place;
     const char *glb, *obj, *swc;
@@ -491,16 +490,16 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    tool_options o = {.max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .solid_divide = 2, .place = SKEL_PLACE_INSIDE};
+    tool_options o = {.omega = skel_default_options().omega, .max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .solid_divide = 2, .place = SKEL_PLACE_INSIDE};
     cli_option options[] = {
-        {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .seen = &o.has_omega,
-         .no_default = true, .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.025 suits a figure with limbs."},
+        {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA,
+         .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.0125 keeps fingers, 0.025 is enough for limbs and several times as fast."},
         {.name = "delta", .kind = CLI_DOUBLE, .value = &o.delta, .argument = "D", .min = 0, .max = 1e9,
          .help = "Stop when the movements of all vertices in a sweep sum up to less (0.05 in the thesis); 0: when no vertex moves by omega/1000 for 8 sweeps."},
         {.name = "max-iterations", .kind = CLI_U64, .value = &o.max_iterations, .argument = "N", .min = 1, .max = 1e9,
          .help = "Sweeps after which to stop, converged or not; a warning and the report say so."},
         {.name = "max-vertices", .kind = CLI_U64, .value = &o.max_vertices, .argument = "N", .min = 1, .max = 2e9,
-         .help = "Most vertices that the mesh may have when its edges have been cut to omega (about 700 bytes each)."},
+         .help = "Most vertices that the mesh may have when its edges have been cut to omega (about 600 bytes each)."},
         {.name = "method", .kind = CLI_CHOICE, .value = &o.method, .choices = methods, .argument = "M",
          .help = "fast: vertices that have met are welded on the way; literal: the thesis' iteration on every vertex."},
         {.name = "normalize", .kind = CLI_CHOICE, .value = &o.normalize, .choices = normalizations, .argument = "N",
@@ -533,7 +532,7 @@ int main(int argc, char **argv)
     cli_tool tool = {
         .name = "svo-skeleton",
         .summary = "Contract a mesh or voxels to a curve skeleton with a map from every vertex or voxel to its joint.",
-        .synopsis = "IN -o OUT.skel --omega W [options]",
+        .synopsis = "IN -o OUT.skel [--omega W] [options]",
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "IN is a .gltf .glb .obj .ply .stl .off .drc mesh of any quality (open, unshared, non-manifold, in parts), or a .svo (- is stdin).",
@@ -546,7 +545,6 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
-    if (!o.has_omega) return cli_usage(&c, "--omega is needed");
     if (o.draco != 0 && (o.draco < 8 || o.glb == NULL)) return cli_usage(&c, o.glb == NULL ? "--draco compresses the mesh of --glb, which is not given" : "--draco takes 8 to 24 bits, or 0");
     if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
     const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct, o.segments};

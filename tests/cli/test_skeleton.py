@@ -531,7 +531,6 @@ def test_exit_codes(folder):
         check(code == 0 or not out.exists(), r)
         return r
 
-    expect(1, folder / "tube.obj", "-o", out)
     expect(1, folder / "tube.obj", "--omega", 0.03)
     expect(1, folder / "tube.obj", "-o", out, "--omega", 0)
     expect(1, folder / "tube.obj", "-o", out, "--omega", "nan")

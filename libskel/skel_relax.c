@@ -1,0 +1,224 @@
+/* The curve's place in the solid. The contraction says which limbs there are and how they hang together, but where it leaves joints depends on the last bit of
+ * its input. So joints move to where the curve is shortest in a space that is expensive near the surface: the sum over bones of length / d^POWER, d the
+ * distance to the surface, has its minimum on ridges of d, and its three-way balance of pulls puts branches in one place whatever they came from. */
+#include <math.h>
+#include <string.h>
+
+#include "skeli_curve.h"
+
+enum { POWER = 4, DIRECTIONS = 4 };
+#define FAR (4.0 * SKEL_LATTICE)
+#define GOLDEN 2.399963229728653 /* radians: directions that never repeat find a way along a crease of d, which fixed ones do not */
+#define FIRST_STEP 0.25          /* of d */
+#define LAST_STEP 0.01
+#define LARGEST_STEP 0.5
+
+static double price(double d)
+{
+    double f = 1 / d;
+    for (int k = 1; k < POWER; k++) f /= d;
+    return f;
+}
+
+/* The distance that has a price. */
+static double clearance(double f) { return POWER == 2 ? sqrt(1 / f) : pow(f, -1.0 / POWER); }
+
+static double apart(const double *a, const double *b)
+{
+    double d2 = 0;
+    for (int k = 0; k < 3; k++) d2 += (b[k] - a[k]) * (b[k] - a[k]);
+    return sqrt(d2);
+}
+
+typedef struct relaxing {
+    const skeli_surface *surface;
+    const skeli_curve *curve;
+    skeli_fans fans;
+    double *d, *near, *price, *step; /* distance to the surface, its nearest point, price there, step / d */
+} relaxing;
+
+static uint32_t neighbour(const relaxing *r, uint32_t joint, uint32_t k)
+{
+    const uint32_t *b = r->curve->bone + 2 * (uint64_t)r->fans.bone[k];
+    return b[0] == joint ? b[1] : b[0];
+}
+
+/* What the bones of a joint at p cost is sum * (price at p) + rest. */
+static double pull(const relaxing *r, uint32_t joint, const double *p, double *rest)
+{
+    double sum = 0;
+    *rest = 0;
+    for (uint32_t k = r->fans.start[joint]; k < r->fans.start[joint + 1]; k++) {
+        uint32_t n = neighbour(r, joint, k);
+        double length = apart(p, r->curve->position + 3 * (uint64_t)n);
+        sum += length;
+        *rest += length * r->price[n];
+    }
+    return sum;
+}
+
+/* Joints of chains move across it, others anywhere. A step is shorter than d, so it cannot leave the solid. */
+static bool relax_joint(relaxing *r, uint32_t j, uint32_t turn)
+{
+    double *p = r->curve->position + 3 * (uint64_t)j, u[3], v[3], w[3] = {0, 0, 0}, to[3], to_near[3], to_d = 0, rest;
+    double now = pull(r, j, p, &rest) * r->price[j], best;
+    now += rest;
+    best = now;
+    uint32_t degree = r->fans.start[j + 1] - r->fans.start[j];
+    const double *a = r->curve->position + 3 * (uint64_t)neighbour(r, j, r->fans.start[j]);
+    const double *b = r->curve->position + 3 * (uint64_t)neighbour(r, j, r->fans.start[j] + 1);
+    double n = apart(a, b);
+    if (!(n > 0)) return false;
+    for (int k = 0; k < 3; k++) w[k] = (b[k] - a[k]) / n;
+    int axis = fabs(w[0]) <= fabs(w[1]) && fabs(w[0]) <= fabs(w[2]) ? 0 : fabs(w[1]) <= fabs(w[2]) ? 1 : 2;
+    double m = sqrt(1 - w[axis] * w[axis]);
+    for (int k = 0; k < 3; k++) u[k] = ((k == axis) - w[axis] * w[k]) / m;
+    for (int k = 0; k < 3; k++) v[k] = w[(k + 1) % 3] * u[(k + 2) % 3] - w[(k + 2) % 3] * u[(k + 1) % 3];
+    double step = r->step[j] * r->d[j], *near = r->near + 3 * (uint64_t)j;
+    int directions = degree == 2 ? DIRECTIONS : DIRECTIONS + 2;
+    for (int i = 0; i < directions; i++) {
+        double q[3], angle = GOLDEN * turn + 6.283185307179586 * i / DIRECTIONS, c = cos(angle), s = sin(angle);
+        for (int k = 0; k < 3; k++) q[k] = p[k] + step * (i < DIRECTIONS ? c * u[k] + s * v[k] : (i == DIRECTIONS ? w[k] : -w[k]));
+        /* how far the surface must be for this to pay, and how far it is at most */
+        double sum = pull(r, j, q, &rest), most = apart(q, near), next[3];
+        if (!(best > rest) || !(sum > 0)) continue;
+        double least = clearance((best - rest) / sum);
+        if (!(most > least)) continue;
+        memcpy(next, near, sizeof next);
+        double d = skeli_surface_clearance(r->surface, q, least, most, next);
+        if (!(d > least)) continue;
+        best = sum * price(d) + rest;
+        to_d = d;
+        memcpy(to, q, sizeof to);
+        memcpy(to_near, next, sizeof to_near);
+    }
+    if (!(best < now)) {
+        r->step[j] /= 2;
+        return false;
+    }
+    memcpy(p, to, sizeof to);
+    memcpy(near, to_near, sizeof to_near);
+    r->d[j] = to_d;
+    r->price[j] = price(to_d);
+    r->step[j] = fmin(LARGEST_STEP, r->step[j] * 1.4);
+    return true;
+}
+
+svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err)
+{
+    relaxing r = {.surface = surface, .curve = c};
+    SVO_TRY(skeli_fans_make(pool, c, &r.fans, err));
+    r.d = skeli_take(pool, c->joints, sizeof *r.d);
+    r.near = skeli_take(pool, 3 * (uint64_t)c->joints, sizeof *r.near);
+    r.price = skeli_take(pool, c->joints, sizeof *r.price);
+    r.step = skeli_take(pool, c->joints, sizeof *r.step);
+    if (r.d == NULL || r.near == NULL || r.price == NULL || r.step == NULL) return skeli_no_memory(err);
+    for (uint32_t j = 0; j < c->joints; j++) {
+        r.d[j] = fmax(skeli_surface_distance(surface, c->position + 3 * (uint64_t)j, FAR, r.near + 3 * (uint64_t)j), 1);
+        if (!skeli_surface_inside(surface, c->position + 3 * (uint64_t)j)) r.d[j] = 1;
+        r.price[j] = price(r.d[j]);
+        r.step[j] = FIRST_STEP;
+    }
+    for (int round = 0; round < rounds; round++) {
+        bool moved = false;
+        for (uint32_t j = 0; j < c->joints; j++) {
+            if (r.fans.start[j + 1] - r.fans.start[j] < 2 || r.d[j] <= 1) continue;
+            if (r.step[j] < LAST_STEP) { /* its neighbours move on */
+                if (round % 8 == 0) r.step[j] = 4 * LAST_STEP;
+                else continue;
+            }
+            moved |= relax_joint(&r, j, (uint32_t)round);
+        }
+        if (!moved && round % 8 == 7) break;
+    }
+    skeli_give(pool, r.d);
+    skeli_give(pool, r.near);
+    skeli_give(pool, r.price);
+    skeli_give(pool, r.step);
+    skeli_fans_free(pool, &r.fans);
+    return SVO_OK;
+}
+
+/* --- branches of more than three bones ----------------------------------------------------------------------------- */
+
+/* The two bones of a joint that leave it in the most similar directions, and the mean of those. */
+static void closest_pair(const skeli_curve *c, const skeli_fans *fans, uint32_t joint, uint32_t pair[2], double along[3])
+{
+    const double *p = c->position + 3 * (uint64_t)joint;
+    double best = -2;
+    for (uint32_t x = fans->start[joint]; x < fans->start[joint + 1]; x++)
+        for (uint32_t y = x + 1; y < fans->start[joint + 1]; y++) {
+            double d[2][3], cosine = 0;
+            for (int e = 0; e < 2; e++) {
+                const uint32_t *b = c->bone + 2 * (uint64_t)fans->bone[e == 0 ? x : y];
+                const double *q = c->position + 3 * (uint64_t)(b[0] == joint ? b[1] : b[0]);
+                double n = apart(p, q);
+                for (int k = 0; k < 3; k++) d[e][k] = n > 0 ? (q[k] - p[k]) / n : 0;
+            }
+            for (int k = 0; k < 3; k++) cosine += d[0][k] * d[1][k];
+            if (!(cosine > best)) continue;
+            best = cosine;
+            pair[0] = fans->bone[x];
+            pair[1] = fans->bone[y];
+            for (int k = 0; k < 3; k++) along[k] = (d[0][k] + d[1][k]) / 2;
+        }
+}
+
+/* One contraction leaves two branches where another leaves one of four bones. So those are taken apart here: the two bones with the most similar directions get a branch of
+ * their own, and where relaxing finds that it was one place, they are merged again. */
+svo_result skeli_split_branches(skeli_pool *pool, const skeli_surface *surface, skeli_curve *c, svo_error *err)
+{
+    for (bool found = true; found;) {
+        skeli_fans fans;
+        SVO_TRY(skeli_fans_make(pool, c, &fans, err));
+        uint32_t more = 0, n = c->joints;
+        for (uint32_t j = 0; j < n; j++) more += fans.start[j + 1] - fans.start[j] > 3;
+        found = more > 0;
+        double *position = found ? skeli_take(pool, 3 * ((uint64_t)n + more), sizeof *position) : NULL;
+        uint32_t *bone = found ? skeli_take(pool, 2 * (c->bones + more), sizeof *bone) : NULL;
+        if (found) {
+            if (position == NULL || bone == NULL) return skeli_no_memory(err);
+            memcpy(position, c->position, 3 * (uint64_t)n * sizeof *position);
+            memcpy(bone, c->bone, 2 * c->bones * sizeof *bone);
+            for (uint32_t j = 0; j < n; j++) {
+                if (fans.start[j + 1] - fans.start[j] <= 3) continue;
+                uint32_t pair[2] = {0, 0};
+                double along[3] = {0, 0, 0}, d = skeli_surface_distance(surface, c->position + 3 * (uint64_t)j, FAR, NULL);
+                closest_pair(c, &fans, j, pair, along);
+                for (uint64_t k = 0; k < 3; k++) position[3 * (uint64_t)c->joints + k] = c->position[3 * (uint64_t)j + k] + 0.1 * d * along[k];
+                for (int e = 0; e < 2; e++) {
+                    uint32_t *b = bone + 2 * (uint64_t)pair[e];
+                    b[b[0] == j ? 0 : 1] = c->joints;
+                }
+                bone[2 * c->bones] = j;
+                bone[2 * c->bones++ + 1] = c->joints++;
+            }
+            skeli_give(pool, c->position);
+            skeli_give(pool, c->bone);
+            c->position = position;
+            c->bone = bone;
+        }
+        skeli_fans_free(pool, &fans);
+    }
+    return SVO_OK;
+}
+
+svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double nearer, skeli_curve *c, svo_error *err)
+{
+    skeli_fans fans;
+    SVO_TRY(skeli_fans_make(pool, c, &fans, err));
+    uint32_t *into = skeli_take(pool, c->joints, sizeof *into);
+    if (into == NULL) return skeli_no_memory(err);
+    for (uint32_t j = 0; j < c->joints; j++) into[j] = j;
+    for (uint64_t b = 0; b < c->bones; b++) {
+        uint32_t x = c->bone[2 * b], y = c->bone[2 * b + 1];
+        bool branches = fans.start[x + 1] - fans.start[x] > 2 && fans.start[y + 1] - fans.start[y] > 2;
+        if (!branches || apart(c->position + 3 * (uint64_t)x, c->position + 3 * (uint64_t)y) >= nearer) continue;
+        uint32_t p = skeli_root(into, x), q = skeli_root(into, y);
+        if (p != q) into[p > q ? p : q] = p > q ? q : p;
+    }
+    svo_result result = skeli_curve_merge(pool, mesh, c, into, err);
+    skeli_give(pool, into);
+    skeli_fans_free(pool, &fans);
+    return result;
+}
