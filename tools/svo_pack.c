@@ -50,6 +50,39 @@ static json_t *left_out(json_t *list, const char *what, uint64_t count, const ch
     return o;
 }
 
+/* What channels of one value would take with a value for every node that has attributes. */
+static void report_constants(json_t *list, const svo_scene *s)
+{
+    uint64_t channels = 0, bytes = 0;
+    for (uint32_t i = 0; i < s->asset_count; i++) {
+        const svo_view *v = s->assets[i];
+        uint64_t values = v->nodes[v->depth];
+        for (uint32_t l = 0; v->lod && l < v->depth; l++) values += v->nodes[l];
+        for (uint32_t c = 0; c < v->channel_count; c++)
+            if (v->channels[c].encoding == SVO_ENCODING_CONSTANT) channels++, bytes += values * svo_channel_stride(v->channels[c].channel.kind);
+    }
+    if (channels != 0) cli_put_text(left_out(list, "channels without variation: one value is stored", channels, "channels", bytes), "bytes_of", "raw values");
+}
+
+static bool kept_mesh(const fmt_scene_build_asset *a) { return a->source != NULL && strcmp(a->source, "mesh") == 0 && a->packed.fate == SVO_PACK_KEPT; }
+
+/* Meshes that are small in the scene have fewer levels than the largest. */
+static void report_levels(json_t *list, const fmt_scene_build_asset *assets, uint32_t count, const uint64_t *bytes)
+{
+    uint32_t deepest = 0;
+    uint64_t levels = 0, saved = 0;
+    for (uint32_t i = 0; i < count; i++)
+        if (kept_mesh(&assets[i]) && assets[i].depth > deepest) deepest = assets[i].depth;
+    for (uint32_t i = 0; i < count; i++) {
+        if (!kept_mesh(&assets[i]) || assets[i].depth == deepest) continue;
+        uint32_t fewer = deepest - assets[i].depth;
+        levels += fewer;
+        saved += bytes[assets[i].packed.packed] * ((UINT64_C(1) << 2 * fewer) - 1);
+    }
+    if (levels != 0)
+        cli_put_text(left_out(list, "levels of meshes that are small in the scene, below what the largest shows", levels, "levels", saved), "bytes_of", "estimate: four times as much a level");
+}
+
 #define INSTANCE_BYTES 60 /* in the file, without a name */
 
 static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_scene_build_asset *assets, uint32_t count, const uint64_t *bytes)
@@ -84,6 +117,8 @@ static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_sc
     for (size_t i = 0; i < sizeof poses / sizeof poses[0]; i++)
         if (poses[i].count != 0) left_out(list, poses[i].what, poses[i].count, poses[i].unit, poses[i].bytes);
     const svo_scene *s = fmt_scene_build_scene(b);
+    report_constants(list, s);
+    report_levels(list, assets, count, bytes);
     if (s->instance_name == NULL && s->instance_count != 0) left_out(list, "names of instances: none has one", s->instance_count, "instances", s->instance_count * 4);
 }
 

@@ -117,6 +117,40 @@ def test_extreme_poses(folder):
                 check(report["deformation"]["selected"] > 0 or name in ("shear_1e6",) or "--no-shadows" in options, (name, report["deformation"]))
 
 
+def test_voxels_leave_the_root_cube(folder):
+    """A pose that takes the shape forty times its size away, half of it out of its grid, or all of it onto the other side: the picture is that of an instance put there."""
+    octree(folder, tall_box(folder / "box.obj"), 6)
+    for x, y, z in ((40, 0, 0), (0.3, 1, 0), (-81, -3, 17)):
+        shown = []
+        for instance in ({"asset": "a", "pose": {"matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, x, y, z, 1]}}, {"asset": "a", "translation": [x, y, z]}):
+            run("svo-pack", scene(folder, [instance]), "-o", folder / "s.svscene", "-f", "-q")
+            run("svo-dump", folder / "s.svscene", "--validate")
+            run("svo-render", folder / "s.svscene", "-o", folder / "m.png", "-f", "--size", "160x120", "--background", "transparent", "--no-shadows", "--resample", "direct",
+                "--eye", "%g,%g,%g" % (4 + x, 3 + y, 5 + z), "--target", "%g,%g,%g" % (x, 1 + y, z))
+            w, h, channels, pixels = read_png(folder / "m.png")
+            flat = pixels if isinstance(pixels, (bytes, bytearray)) else b"".join(bytes(r) for r in pixels)
+            shown.append([a > 127 for a in flat[3::4]])
+        both, either = sum(a and b for a, b in zip(*shown)), sum(a or b for a, b in zip(*shown))
+        check(both > 800 and both / either > 0.97, ((x, y, z), both, either))
+
+
+def test_extreme_cameras(folder):
+    """Eyes in a voxel, on a face of one, on an edge of the grid and where rays run along axes, with a needle's eye and nearly half of everything."""
+    octree(folder, tall_box(folder / "box.obj"), 5)
+    run("svo-pack", scene(folder, [{"asset": "a", "pose": {"twist": {"degrees": 180, "from": 1, "to": 2}}}, {"asset": "a", "translation": [0, 0, -3], "pose": {"bend": {"axis": "y", "towards": "x", "degrees": 60}}}]),
+        "-o", folder / "s.svscene", "-f", "-q")
+    eyes = {"in_a_voxel": ("0.24,0.53,0.1", "5,0.5,0"), "on_a_face": ("0.25,0.5,0", "0,0.5,0"), "on_an_edge": ("0.25,0.5,0.5", "0.25,0.5,-9"), "along_an_axis": ("0,0.5,9", "0,0.5,0"),
+            "from_above": ("0,9,0", "0,0,0"), "far_away": ("0,1,1e6", "0,1,0")}
+    for name, (eye, target) in eyes.items():
+        up = ["--up", "0,0,-1"] if name == "from_above" else []
+        for fov in (0.001, 40, 179):
+            for method in ("direct", "resize", "emit"):
+                draw(folder, "--eye", eye, "--target", target, "--fov", fov, "--resample", method, "--no-shadows", *up)
+    # an eye that looks along an axis at the first one sees it in the middle of the picture
+    report = draw(folder, "--eye", "0,0.5,9", "--target", "0,0.5,0", "--no-shadows")
+    check(report["rays"]["primary"]["hits"] > 100, report["rays"])
+
+
 def test_scales_of_1e_6_and_1e6_in_one_scene(folder):
     octree(folder, tall_box(folder / "box.obj"), 5)
     pose = {"twist": {"degrees": 90}}

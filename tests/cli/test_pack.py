@@ -59,8 +59,24 @@ def test_a_description_packs_what_is_used(folder):
     check(what["instances hidden by a scale of 0"]["instances"] == 1, what)
     check(what["instances with a singular transform"]["instances"] == 1, what)
     check(what["instances of assets without voxels"]["instances"] == 1, what)
+    small = what["levels of meshes that are small in the scene, below what the largest shows"]
+    check(small["levels"] == 1 and small["bytes"] == 3 * next(a["bytes"] for a in out["asset_list"] if a["name"] == "a"), small)
     check(len(report["warnings"]) >= 2, report["warnings"])
     check({p["name"] for p in report["phases"]} >= {"read", "voxelize", "pack", "write"}, report["phases"])
+
+
+def test_channels_without_variation_are_stored_once(folder):
+    """A cube of one colour: its colour takes one value in the file, and the report says what a value a node would have taken."""
+    support.cube_obj(folder / "cube.obj", color=(1, 0, 0))
+    s = description(folder, [("a", "cube.obj")], [{"asset": "a"}])
+    r, report = pack(s, folder / "o.svscene", "--depth", 4, "--attributes", "color", "--lod", "none")
+    check(r.code == 0, r)
+    what = {o["what"]: o for o in report["output"]["left_out"]}
+    one = what["channels without variation: one value is stored"]
+    check(one["channels"] == 1 and one["bytes"] == 3 * report["output"]["asset_list"][0]["voxels"], one)
+    r, varied = pack(s, folder / "p.svscene", "--depth", 4, "--attributes", "normal", "--lod", "none")
+    check("channels without variation: one value is stored" not in {o["what"] for o in varied["output"]["left_out"]}, varied["output"]["left_out"])
+    check(report["output"]["bytes"] < varied["output"]["bytes"], "the one value takes as much as many")
 
 
 def test_one_mesh_has_the_stated_depth_and_voxel_size_rules(folder):

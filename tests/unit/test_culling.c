@@ -180,3 +180,71 @@ TEST(no_visible_cell_is_lost_in_random_scenes)
     }
     CHECK_MSG(hidden > 500 && shown > 5000, "%llu nodes hidden, %llu samples", (unsigned long long)hidden, (unsigned long long)shown);
 }
+
+/* The same scene with its pages in another order. */
+typedef struct shuffled { svo_scene scene; uint32_t asset[PLACES], pose[PLACES]; uint64_t id[PLACES]; float transform[12 * PLACES]; svo_scene_page page[PLACES]; } shuffled;
+
+static void shuffle(const svo_scene *from, shuffled *to, uint64_t *seed)
+{
+    uint32_t order[PLACES];
+    uint64_t n = 0;
+    to->scene = *from;
+    for (uint32_t i = 0; i < from->page_count; i++) {
+        uint32_t k = (uint32_t)(test_random(seed) % (i + 1));
+        order[i] = order[k], order[k] = i;
+    }
+    for (uint32_t i = 0; i < from->page_count; i++) {
+        to->page[i] = from->pages[order[i]];
+        to->page[i].first = n;
+        for (uint64_t k = 0; k < to->page[i].count; k++, n++) {
+            uint64_t old = from->pages[order[i]].first + k;
+            to->asset[n] = from->instance_asset[old], to->id[n] = from->instance_id[old];
+            to->pose[n] = from->instance_pose != NULL ? from->instance_pose[old] : SVO_NO_POSE;
+            memcpy(to->transform + 12 * n, from->instance_transform + 12 * old, 48);
+        }
+    }
+    to->scene.instance_asset = to->asset, to->scene.instance_pose = to->pose, to->scene.instance_id = to->id;
+    to->scene.instance_transform = to->transform, to->scene.pages = to->page;
+}
+
+TEST(the_order_of_pages_does_not_matter)
+{
+    enum { W = 56, H = 42 };
+    static float depth[2][W * H];
+    static uint32_t owner[2][W * H];
+    static shuffled other;
+    svo_error err = {0};
+    uint64_t seed = 5, shown = 0;
+    for (int round = 0; round < 20; round++) {
+        world w;
+        world_make(&w, &seed);
+        const svo_scene *scenes[2] = {svo_packed_scene_get(w.packed), &other.scene};
+        shuffle(scenes[0], &other, &seed);
+        svo_select_options o = {.width = W, .height = H, .delta = between(&seed, 0.6, 3), .everything = round % 2 == 0, .frustum = true, .occlusion = round % 3 != 0};
+        if (random_eye(&seed, &o.eye)) {
+            uint64_t voxels[2];
+            for (int i = 0; i < 2; i++) {
+                svo_selection s;
+                svo_unpose_options u = {o, round % 2 == 0 ? SVO_RESAMPLE_EMIT : SVO_RESAMPLE_RESIZE};
+                svo_unposed *unposed;
+                o.threads = 1 + (uint32_t)i;
+                CHECK_OK(svo_select(scenes[i], &o, &s, &err));
+                CHECK_OK(svo_select_draw(&s, &o, owner[i], depth[i], &err));
+                for (uint32_t k = 0; k < W * H; k++)
+                    if (owner[i][k] != UINT32_MAX) owner[i][k] = (uint32_t)scenes[i]->instance_id[s.boxes[owner[i][k]].instance];
+                svo_selection_free(&s);
+                u.select.frustum = u.select.occlusion = false; /* what is left out may depend on what came first */
+                CHECK_OK(svo_unpose(scenes[i], &u, &unposed, NULL, &err));
+                voxels[i] = svo_unposed_view(unposed)->nodes[svo_unposed_view(unposed)->depth];
+                svo_unposed_free(unposed);
+            }
+            CHECK_U64(voxels[0], voxels[1]);
+            for (uint32_t k = 0; k < W * H; k++) {
+                shown += isfinite(depth[0][k]) != 0;
+                CHECK_MSG(depth[0][k] == depth[1][k], "round %d, sample %u: %g and %g", round, k, (double)depth[0][k], (double)depth[1][k]);
+            }
+        }
+        world_free(&w);
+    }
+    CHECK(shown > 10000);
+}
