@@ -40,14 +40,6 @@ static bool found(const svo_rays *r, const svo_ray *ray, bool lod, int32_t state
     return true;
 }
 
-static bool wants_lod(const svo_view *v, const svo_ray *rays, uint32_t count)
-{
-    bool any = false;
-    if (v->lod)
-        for (uint32_t i = 0; i < count; i++) any |= rays[i].spread > 0 || rays[i].offset > 0;
-    return any;
-}
-
 static void trace_one(const svo_rays *r, svoi_ray_cache *cache, const svo_ray *rays, uint32_t i, svo_hit *hits, bool *blocked)
 {
     if (hits != NULL) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
@@ -95,8 +87,7 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
 /* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
 static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked)
 {
-    bool lod = wants_lod(r->view, rays, count);
-    svoi_rays_prepare_avx512(r, rays, count, lod, b);
+    bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
     b->found = 0;
     bool start = trace_packets(r, lod, b);
     svoi_rays_trace_avx512(r, lod, start, b);

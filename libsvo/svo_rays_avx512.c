@@ -34,9 +34,10 @@ bool svoi_rays_have_avx512(void)
 
 static const double far_enough = 0x1p40; /* fixed-point units: beyond, the positions' error would come near to one unit */
 
-/* Structure of arrays, in fixed-point units; the caller's numbers in `ray`. */
-static void transpose(const svo_ray *rays, uint32_t count, double scale, svoi_ray_batch *b)
+/* Structure of arrays, in fixed-point units; the caller's numbers in `ray`. True if a ray has a level of detail. */
+static bool transpose(const svo_ray *rays, uint32_t count, double scale, svoi_ray_batch *b)
 {
+    double most = 0;
     for (uint32_t i = 0; i < count; i++) {
         const svo_ray *r = &rays[i];
         __builtin_prefetch(r + SVOI_RAYS_BATCH); /* of the next batch */
@@ -44,18 +45,21 @@ static void transpose(const svo_ray *rays, uint32_t count, double scale, svoi_ra
         for (int k = 0; k < 3; k++) b->in.o[k][i] = r->origin[k] * scale, b->in.d[k][i] = r->direction[k] * scale;
         b->in.t[i] = r->t_min, b->in.t_max[i] = r->t_max;
         b->in.spread[i] = r->spread, b->in.offset[i] = r->offset;
+        most = r->spread > most ? r->spread : most;
+        most = r->offset > most ? r->offset : most;
     }
+    return most > 0;
 }
 
 INLINE __m512d absolute(__m512d x) { return _mm512_abs_pd(x); }
 
-void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, bool lod, svoi_ray_batch *b)
+bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
 {
     const double scale = ldexp(1, (int)r->fraction), root_size = ldexp(1, (int)r->view->tree_depth);
     const __m512d zero = _mm512_setzero_pd(), one = _mm512_set1_pd(1);
+    const bool lod = transpose(rays, count, scale, b) && r->view->lod;
     const int32_t *low_side = lod ? r->root_low : r->low, *high_side = lod ? r->root_high : r->high;
     const __m256i unit_mask = _mm256_set1_epi32((1 << r->fraction) - 1), one_i = _mm256_set1_epi32(1);
-    transpose(rays, count, scale, b);
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i += 8) {
         __mmask8 lanes = count - i >= 8 ? 0xff : (__mmask8)((1u << (count - i)) - 1), usual = lanes, entering[3], negative[3];
@@ -113,6 +117,7 @@ void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         kept += (uint32_t)__builtin_popcount(meets);
     }
     b->count = kept;
+    return lod;
 }
 
 /* ---- traversal ---------------------------------------------------------------------------------------------------- */
@@ -408,9 +413,10 @@ void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_ba
 }
 #else
 bool svoi_rays_have_avx512(void) { return false; }
-void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, bool lod, svoi_ray_batch *b)
+bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
 {
-    (void)r, (void)rays, (void)count, (void)lod, (void)b;
+    (void)r, (void)rays, (void)count, (void)b;
+    return false;
 }
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b) { (void)r, (void)lod, (void)start, (void)b; }
 #endif

@@ -66,9 +66,9 @@ enum { SVOI_RAY_DOUBT = 0x100 };
 #define SVOI_HAVE_AVX512
 #endif
 
-/* Fill in a batch from at most SVOI_RAYS_BATCH rays, trace it. */
 bool svoi_rays_have_avx512(void);
-void svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, bool lod, svoi_ray_batch *b);
+/* Fill in a batch from at most SVOI_RAYS_BATCH rays; true if some of them may stop above the finest voxels. */
+bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
 /* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 /* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to

@@ -201,6 +201,55 @@ TEST(rays_that_go_the_same_way)
     free(rays);
 }
 
+/* Cameras in a voxel, on its faces, edges and corners, looking along axes, edges and diagonals, with the least and the largest field
+ * of view that svo-render takes: the hit set of every kernel is that of a loop over all voxels. */
+TEST(cameras_in_extreme_places)
+{
+    static const double fields[] = {1e-3, 40, 179}; /* degrees */
+    static const double looks[][3] = {{1, 0, 0}, {0, -1, 0}, {0, 0, 1}, {1, 1, 0}, {-1, 1, 1}, {0.3, -0.5, 0.8}, {1, 0x1p-40, 0}};
+    enum { SIDE = 8, RAYS = SIDE * SIDE, PLACES = 6, LOOKS = sizeof looks / sizeof *looks };
+    uint64_t seed = 31, *codes, count = make_world(5, 1, 600, &seed, &codes), met = 0;
+    svo_view *v = packer_make(5, codes, count, NULL);
+    svo_ray rays[RAYS];
+    for (uint32_t place = 0; place < PLACES; place++)
+        for (uint32_t look = 0; look < LOOKS; look++)
+            for (uint32_t field = 0; field < 3 && !test_failed(); field++) {
+                uint32_t c[3];
+                svo_morton_decode(codes[test_random(&seed) % count], &c[0], &c[1], &c[2]);
+                double at[3] = {c[0] + 0.5, c[1] + 0.25, c[2] + 0.75}, right[3], up[3], half = tan(fields[field] * 3.14159265358979323846 / 360);
+                for (uint32_t k = 0; k < 3; k++)
+                    if (place >= 1 && place <= 3 && k < place) at[k] = c[k]; /* on a face, an edge, a corner */
+                    else if (place == 4) at[k] = c[k] + 1;                  /* the corner at the far side */
+                    else if (place == 5) at[k] = 16;                        /* inside of the shell, on planes of all levels */
+                const double *f = looks[look];
+                uint32_t axis = fabs(f[0]) > 0.5 ? 1 : 0;
+                for (uint32_t k = 0; k < 3; k++) right[k] = k == axis;
+                up[0] = f[1] * right[2] - f[2] * right[1], up[1] = f[2] * right[0] - f[0] * right[2], up[2] = f[0] * right[1] - f[1] * right[0];
+                for (uint32_t i = 0; i < RAYS; i++) {
+                    double x = half * (2.0 * (i % SIDE) / (SIDE - 2) - 1), y = half * (2.0 * (i / SIDE) / (SIDE - 2) - 1); /* some are 0 */
+                    rays[i] = (svo_ray){.t_min = 0, .t_max = INFINITY};
+                    for (int k = 0; k < 3; k++) rays[i].origin[k] = at[k], rays[i].direction[k] = f[k] + x * right[k] + y * up[k];
+                }
+                check_rays(v, rays, RAYS);
+                for (uint32_t i = 0; i < RAYS && !test_failed(); i++) {
+                    svo_hit hit;
+                    svo_raycast(v, &rays[i], 1, &hit);
+                    double best = INFINITY;
+                    for (uint64_t k = 0; k < count; k++) {
+                        uint32_t cell[3];
+                        double enter, leave;
+                        svo_morton_decode(codes[k], &cell[0], &cell[1], &cell[2]);
+                        if (svo_ray_node(v, &rays[i], 5, cell, &enter, &leave) && fmax(enter, 0) < leave) best = fmin(best, fmax(enter, 0));
+                    }
+                    CHECK(hit.hit == (best < INFINITY) && (!hit.hit || hit.t == best));
+                    met += hit.hit;
+                }
+            }
+    CHECK(met > 2000);
+    packer_free(v);
+    free(codes);
+}
+
 TEST(every_layout)
 {
     static const svo_geometry layouts[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};

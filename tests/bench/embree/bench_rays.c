@@ -1,6 +1,6 @@
 /* Ray rates and image error beside Embree on the source triangles, in one process.
  *
- *     bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-c] MESH A.svdag [B.svdag ...]
+ *     bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] MESH A.svdag [B.svdag ...]
  *
  * Four lists of rays, made with Embree from the triangles of MESH, in its coordinates:
  *   primary  1280x720 in the order of 4x4 blocks; svo-render's automatic view, or with -i from inside along the longest side
@@ -9,7 +9,8 @@
  *   random   10^6 chords from a sphere around the box into the box
  * Secondary rays begin 1/240 of the longest side along the normal above the hit: 4 voxels at 1024^3.
  * All systems take turns on the same list; a rate is of thread CPU time, best of the repeats, with -t 2 of two threads
- * (rays over the mean of their CPU times). -o takes one list alone (primary, shadow, ...). -s adds svo_raycast, -c compares every hit with svo_raycast's. */
+ * (rays over the mean of their CPU times). -o takes one list alone (primary, shadow, ...). -s adds svo_raycast, -c compares every hit with svo_raycast's.
+ * -a decodes all attributes of every hit as well. */
 #define _POSIX_C_SOURCE 200809L
 #include <embree3/rtcore.h>
 #include <math.h>
@@ -180,6 +181,8 @@ static void make_rays(ray_list lists[SETS], RTCScene scene, const double low[3],
 
 /* ---- one system on one list --------------------------------------------------------------------------------------------- */
 
+static bool decode; /* attributes of hits too */
+
 typedef enum system_kind { EMBREE, RAYS, RAYCAST } system_kind;
 typedef struct job {
     system_kind kind;
@@ -192,7 +195,7 @@ typedef struct job {
     uint64_t count;
     atomic_uint_fast64_t next;
 } job;
-typedef struct worker { job *job; double seconds; uint64_t hits; pthread_t thread; } worker;
+typedef struct worker { job *job; double seconds; uint64_t hits, sum; pthread_t thread; } worker;
 
 static void *work(void *user)
 {
@@ -201,7 +204,7 @@ static void *work(void *user)
     svo_hit *hits = get(CHUNK, sizeof *hits);
     bool *blocked = get(CHUNK, sizeof *blocked);
     double start = thread_seconds();
-    w->hits = 0;
+    w->hits = w->sum = 0;
     for (;;) {
         uint64_t first = atomic_fetch_add(&j->next, CHUNK);
         if (first >= j->count) break;
@@ -215,6 +218,13 @@ static void *work(void *user)
                 for (uint32_t i = 0; i < n; i++) blocked[i] = svo_ray_blocked(j->view, j->grid + first + i);
             else
                 for (uint32_t i = 0; i < n; i += BATCH) svo_raycast(j->view, j->grid + first + i, n - i < BATCH ? n - i : BATCH, hits + i);
+            if (decode && !any)
+                for (uint32_t i = 0; i < n; i++)
+                    for (uint32_t c = 0; hits[i].hit && c < j->view->channel_count; c++) {
+                        uint8_t value[SVO_MAX_STRIDE];
+                        svo_view_attribute(j->view, c, hits[i].attribute, value);
+                        w->sum += value[0];
+                    }
             for (uint32_t i = 0; i < n; i++) w->hits += any ? blocked[i] : hits[i].hit;
         }
     }
@@ -325,11 +335,12 @@ int main(int argc, char **argv)
         else if (strcmp(argv[i], "-i") == 0) inside = true;
         else if (strcmp(argv[i], "-s") == 0) scalar = true;
         else if (strcmp(argv[i], "-c") == 0) check = true;
+        else if (strcmp(argv[i], "-a") == 0) decode = true;
         else if (mesh_path == NULL) mesh_path = argv[i];
         else if (count < MAX_FILES) files[count++].name = argv[i];
     }
     if (count == 0 || repeats < 1 || threads < 1 || threads > MAX_THREADS)
-        return fputs("usage: bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-c] MESH A.svdag [B.svdag ...]\n", stderr), 1;
+        return fputs("usage: bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] MESH A.svdag [B.svdag ...]\n", stderr), 1;
     svo_mesh mesh;
     fmt_import_options import = {.skip_images = true};
     if (fmt_import_mesh(mesh_path, &import, &mesh, &err) != SVO_OK) return fprintf(stderr, "%s: %s\n", mesh_path, err.message), 1;
