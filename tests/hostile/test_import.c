@@ -2,6 +2,7 @@
  * sanitizer sees any read beyond; memory is limited; what is accepted must satisfy all rules of svo_mesh.h. */
 #include <stdlib.h>
 
+#include "fmt_rig.h"
 #include "import_check.h"
 #include "import_common.h"
 
@@ -141,6 +142,42 @@ static const char gltf_text[] =
     "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":3}],"
     "\"buffers\":[{\"byteLength\":39,\"uri\":\"data:application/octet-stream;base64,AAAAAAAAAAAAAAAAAACAPwAAAAAAAAAAAAAAAAAAgD8AAAAAAAEC\"}]}";
 
+/* A skin of two joints and an animation; accessors without data are zeros. */
+static const char rig_text[] =
+    "{\"asset\":{\"version\":\"2.0\"},\"accessors\":[{\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},{\"componentType\":5121,\"count\":3,\"type\":\"VEC4\"},"
+    "{\"componentType\":5126,\"count\":3,\"type\":\"VEC4\"},{\"componentType\":5126,\"count\":1,\"type\":\"SCALAR\"},{\"componentType\":5126,\"count\":2,\"type\":\"MAT4\"},"
+    "{\"componentType\":5126,\"count\":1,\"type\":\"VEC4\"},{\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"}],"
+    "\"meshes\":[{\"primitives\":[{\"attributes\":{\"POSITION\":0,\"JOINTS_0\":1,\"WEIGHTS_0\":2}}]}],\"skins\":[{\"joints\":[1,2],\"inverseBindMatrices\":4}],"
+    "\"nodes\":[{\"mesh\":0,\"skin\":0},{\"children\":[2],\"scale\":[2,2,2]},{\"translation\":[0,1,0]}],\"animations\":[{\"name\":\"a\",\"samplers\":[{\"input\":3,\"output\":5},"
+    "{\"input\":3,\"output\":6,\"interpolation\":\"CUBICSPLINE\"}],\"channels\":[{\"sampler\":0,\"target\":{\"node\":1,\"path\":\"rotation\"}},"
+    "{\"sampler\":1,\"target\":{\"node\":2,\"path\":\"translation\"}}]}],\"scenes\":[{\"nodes\":[0,1]}],\"scene\":0}";
+
+/* The importer with nodes, skins and animations, posed at a time; every reference of the rig must hold. */
+static svo_result import_rigged(const import_context *c, const uint8_t *bytes, uint64_t size, svo_mesh *mesh, svo_error *err)
+{
+    import_context with = *c;
+    fmt_rig rig = {0};
+    with.rig = &rig;
+    with.animation = "0";
+    with.time = 0.5;
+    svo_result r = import_gltf(&with, bytes, size, mesh, err);
+    svo_mat4 *world = r == SVO_OK ? calloc(rig.node_count + 1, sizeof *world) : NULL;
+    for (uint32_t a = 0; r == SVO_OK && a < rig.animation_count; a++) fmt_rig_world(&rig, a, 0.25, world);
+    for (uint32_t s = 0; r == SVO_OK && s < rig.shape_count; s++) {
+        const fmt_rig_shape *shape = &rig.shapes[s];
+        if (shape->skin != SVO_NONE && (shape->skin >= rig.skin_count || shape->part_count != mesh->shapes[s].part_count)) abort();
+        for (uint32_t p = 0; p < shape->part_count; p++)
+            for (uint64_t v = 0; shape->parts[p].influences != NULL && v < shape->parts[p].vertex_count; v++)
+                for (int k = 0; k < 4; k++)
+                    if (shape->parts[p].influences[v].weight[k] > 0 && shape->parts[p].influences[v].bone[k] >= rig.skins[shape->skin].joint_count) abort();
+    }
+    free(world);
+    fmt_rig_free(&rig);
+    return r;
+}
+
+TEST(gltf_with_a_rig) { damage(import_rigged, "rig", (const uint8_t *)rig_text, sizeof rig_text - 1, true, 4000); }
+
 TEST(gltf) { damage(import_gltf, "gltf", (const uint8_t *)gltf_text, sizeof gltf_text - 1, true, 4000); }
 
 static void damage_model(import_reader *reader, const char *relative, uint32_t rounds)
@@ -210,6 +247,7 @@ TEST(allocations_fail)
     fail_each(import_stl, "stl", stl_text);
     fail_each(import_off, "off", off_text);
     fail_each(import_gltf, "gltf", gltf_text);
+    fail_each(import_rigged, "rig", rig_text);
 }
 
 /* --- claims and depth --- */
