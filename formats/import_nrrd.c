@@ -3,6 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 #include <sys/mman.h>
 #include <unistd.h>
 #include <zlib.h>
@@ -39,7 +40,7 @@ static const char *next_line(const uint8_t *data, uint64_t size, uint64_t *at, c
     return line;
 }
 
-/* Up to `most` numbers; blanks, commas and brackets are between them. Returns how many, -1 when there is something else. */
+/* (Words are told apart without regard to case, as teem does.) Up to `most` numbers; blanks, commas and brackets are between them. Returns how many, -1 when there is something else. */
 static int numbers(const char *text, double *out, int most)
 {
     for (int n = 0;;) {
@@ -62,7 +63,7 @@ static bool read_type(const char *t, nrrd *n)
         {{"ulonglong", "unsigned long long", "unsigned long long int", "uint64", "uint64_t"}, VOLUME_U64}, {{"float"}, VOLUME_F32}, {{"double"}, VOLUME_F64}};
     for (size_t i = 0; i < sizeof types / sizeof types[0]; i++)
         for (int k = 0; k < 8 && types[i].names[k] != NULL; k++)
-            if (strcmp(types[i].names[k], t) == 0) {
+            if (strcasecmp(types[i].names[k], t) == 0) {
                 n->s->type = types[i].type;
                 return true;
             }
@@ -101,9 +102,9 @@ static bool read_spacings(const char *value, nrrd *n)
 
 static svo_result read_encoding(const char *value, nrrd *n, svo_error *err)
 {
-    n->encoding = strcmp(value, "raw") == 0 ? ENCODING_RAW
-                  : strcmp(value, "gzip") == 0 || strcmp(value, "gz") == 0 ? ENCODING_GZIP
-                  : strcmp(value, "ascii") == 0 || strcmp(value, "text") == 0 || strcmp(value, "txt") == 0 ? ENCODING_TEXT : ENCODING_NONE;
+    n->encoding = strcasecmp(value, "raw") == 0 ? ENCODING_RAW
+                  : strcasecmp(value, "gzip") == 0 || strcasecmp(value, "gz") == 0 ? ENCODING_GZIP
+                  : strcasecmp(value, "ascii") == 0 || strcasecmp(value, "text") == 0 || strcasecmp(value, "txt") == 0 ? ENCODING_TEXT : ENCODING_NONE;
     return n->encoding != ENCODING_NONE ? SVO_OK : svo_fail(err, SVO_UNSUPPORTED, "NRRD encoding \"%.40s\"; raw, gzip and ascii are read (unu save -e gzip makes one)", value);
 }
 
@@ -125,8 +126,8 @@ static svo_result read_field(const char *line, nrrd *n, svo_error *err)
     } else if (IS("sizes")) {
         good = read_sizes(value, n);
     } else if (IS("endian")) {
-        n->s->big = strcmp(value, "big") == 0;
-        good = n->s->big || strcmp(value, "little") == 0;
+        n->s->big = strcasecmp(value, "big") == 0;
+        good = n->s->big || strcasecmp(value, "little") == 0;
     } else if (IS("encoding")) {
         return read_encoding(value, n, err);
     } else if (IS("space directions")) {

@@ -90,6 +90,25 @@ static void print_list(const char *key, const json_t *list)
     }
 }
 
+/* Assets of a scene: what tells them apart, one a line. */
+static void print_assets(const json_t *list)
+{
+    size_t i, k;
+    const json_t *e, *a;
+    print_label("assets");
+    printf("%-24s %10s %5s %14s %12s  attributes\n", "name", "instances", "depth", "voxels", "bytes");
+    json_array_foreach(list, i, e) {
+        if (i == LINES) {
+            printf("%21s... and %zu more (--json lists them)\n", "", json_array_size(list) - LINES);
+            break;
+        }
+        printf("%21s%-24s %10" PRIu64 " %5" PRIu64 " %14" PRIu64 " %12" PRIu64 " ", "", json_string_value(json_object_get(e, "name")), count_of(e, "instances"), count_of(e, "depth"), count_of(e, "voxels"),
+               count_of(e, "bytes"));
+        json_array_foreach(json_object_get(e, "attributes"), k, a) printf("%s%s", k == 0 ? " " : ",", json_string_value(json_object_get(a, "name")));
+        putchar('\n');
+    }
+}
+
 static void print_levels(const json_t *list)
 {
     size_t i;
@@ -250,7 +269,9 @@ void dump_print(const dump_job *j)
     json_object_foreach(j->json, key, v) {
         if (strcmp(key, "file") == 0 || (skeleton && (json_is_null(v) || (json_is_array(v) && json_array_size(v) == 0)))) continue;
         if (strcmp(key, "tree_listed_in_full") == 0) continue;
-        if (strcmp(key, "tree") == 0) {
+        if (strcmp(key, "assets") == 0) {
+            print_assets(v);
+        } else if (strcmp(key, "tree") == 0) {
             print_tree(v, json_is_true(json_object_get(j->json, "tree_listed_in_full")));
         } else if (strcmp(key, "histograms") == 0) {
             print_histograms(v);

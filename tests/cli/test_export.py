@@ -406,6 +406,22 @@ def test_ply_mesh(folder):
     run("svo-voxelize", out, "-o", folder / "again.svo", "--depth", 5)
 
 
+def test_assimp(folder):
+    """Open Asset Import Library's tool (package assimp-utils) sees the meshes, their faces and their place."""
+    if shutil.which("assimp") is None:
+        support.skip("NO READER: assimp (package assimp-utils) is missing")
+    make_scene(folder)
+    for source in ("a.svdag", "s.svscene"):
+        seen = []
+        for ending in (".glb", ".ply"):
+            out, report = export(folder, ending, source=source)
+            text = subprocess.run(["assimp", "info", str(out)], stdout=subprocess.PIPE, check=True, timeout=60).stdout.decode()
+            meshes, faces = (int(re.search(n + r":\s+(\d+)", text).group(1)) for n in ("Meshes", "Faces"))
+            check(meshes == (2 if source == "s.svscene" and ending == ".glb" else 1) and faces == report["faces"] * 2, (source, ending, meshes, faces, report))
+            seen.append([[float(v) for v in p.split()] for p in re.findall(r"(?:Minimum|Maximum) point\s+\(([^)]*)\)", text)])
+        check(all(abs(a - b) < 1e-3 * max(1, abs(b)) for p, q in zip(*seen) for a, b in zip(p, q)), seen)
+
+
 def read_nrrd(data):
     head, body = data.split(b"\n\n", 1)
     lines = head.decode().split("\n")

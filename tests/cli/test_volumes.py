@@ -3,7 +3,9 @@
 import gzip
 import os
 import random
+import shutil
 import struct
+import subprocess
 import sys
 import zlib
 
@@ -93,6 +95,26 @@ def test_beside(folder):
         (folder / "b.nhdr").write_bytes(nrrd("short", "raw", b"", more=more))
         r = tool("svo-voxelize", folder / "b.nhdr", "-o", folder / "x.svo")
         check(r.code == code, (more, r))
+
+
+def test_files_of_teem(folder):
+    """What teem's own tool (package teem-apps) writes, in each encoding and detached; and it reads what svo-dump writes."""
+    if shutil.which("teem-unu") is None:
+        support.skip("NO WRITER: teem-unu (package teem-apps) is missing")
+    data = struct.pack("<60h", *VALUES)
+    (folder / "a.nrrd").write_bytes(nrrd("short", "raw", data, more="endian: little\nspacings: 2 3 4\n"))
+    unu = lambda *words: subprocess.run(["teem-unu"] + [str(w) for w in words], check=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60).stdout
+    places = set()
+    for i, (encoding, name) in enumerate((("raw", "b.nrrd"), ("gzip", "b.nrrd"), ("ascii", "b.nrrd"), ("raw", "b.nhdr"), ("gzip", "c.nhdr"))):
+        unu("save", "-f", "nrrd", "-e", encoding, "-i", folder / "a.nrrd", "-o", folder / name)
+        at, c = cells(folder, folder / name, "--threshold", 3)
+        check(set(at) == wanted(VALUES, least=3), (encoding, name))
+        places.add((min(c["x"]), min(c["y"]), max(c["z"])))
+    unu("convert", "-t", "float", "-i", folder / "a.nrrd", "-o", folder / "d.nrrd")
+    at, c = cells(folder, folder / "d.nrrd", "--threshold", 3)
+    check(set(at) == wanted(VALUES, least=3) and len(places) == 1, places)
+    run("svo-dump", folder / "v.svo", "--export", folder / "e.nrrd", "-q")
+    check(unu("minmax", folder / "e.nrrd").split() == [b"min:", b"0", b"max:", b"255"])
 
 
 def test_large(folder):
