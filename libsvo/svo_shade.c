@@ -194,12 +194,13 @@ static void corner_normals(const svo_shader *s, svo_facet *t)
         double longest = 0;
         for (int k = 0; k < 3; k++) {
             const float *v = t->part->normals + 3 * (uint64_t)t->vertex[k];
-            n[k] = svo_mat4_normal(m, svo_normalize(svo_v3(v[0], v[1], v[2])));
-            longest = fmax(longest, svo_length(n[k]));
+            const double x = (double)v[0], y = (double)v[1], z = (double)v[2], length = sqrt(x * x + y * y + z * z); /* squares of floats fit doubles */
+            n[k] = svo_mat4_normal(m, length > 0 ? svo_v3(x / length, y / length, z / length) : svo_v3(0, 0, 0));
+            longest = fmax(longest, fmax(fabs(n[k].x), fmax(fabs(n[k].y), fabs(n[k].z))));
         }
         bool usable = longest > 0 && isfinite(longest);
         for (int k = 0; k < 3; k++) n[k] = usable ? svo_scale(n[k], 1 / longest) : face;
-        t->smooth = usable;
+        for (int k = 1; k < 3; k++) t->smooth |= usable && (n[k].x != n[0].x || n[k].y != n[0].y || n[k].z != n[0].z);
     }
     for (int k = 0; k < 3; k++) t->corner_normal[k][0] = n[k].x, t->corner_normal[k][1] = n[k].y, t->corner_normal[k][2] = n[k].z;
 }

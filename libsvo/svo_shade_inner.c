@@ -157,11 +157,11 @@ static void clamp_unit(float *v, uint32_t n)
 
 static void find_normals(const svo_facet *t, const svoi_inner *in, uint32_t n, svoi_lanes *l)
 {
-    float face[3];
-    for (int k = 0; k < 3; k++) face[k] = (float)((t->mirrored ? -1 : 1) * t->face[k]);
+    float face[3], all[3];
+    svoi_plain_normals(t, face, all);
+    l->one_normal = !t->smooth;
     if (!t->smooth) {
-        for (int k = 0; k < 3; k++)
-            for (uint32_t i = 0; i < n; i++) l->normal[k][i] = face[k];
+        for (int k = 0; k < 3; k++) l->normal[k][0] = all[k];
         return;
     }
     const float(*c)[3] = in->normal;

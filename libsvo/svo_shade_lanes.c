@@ -242,20 +242,29 @@ static void find_colors(const shade_material *m, svo_facet *t, svoi_lanes *l)
     for (int k = 0; k < 4; k++) clamp_unit(l->color[k], n);
 }
 
+/* The face's normal, and that of all corners where they have one. */
+void svoi_plain_normals(const svo_facet *t, float face[3], float corners[3])
+{
+    const double *c = t->corner_normal[0], length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]);
+    for (int i = 0; i < 3; i++) {
+        face[i] = (float)((t->mirrored ? -1 : 1) * t->face[i]);
+        corners[i] = length > 1e-9 ? (float)(c[i] / length) : face[i];
+    }
+}
+
 static void find_normals(const svo_facet *t, svoi_lanes *l)
 {
     const uint32_t n = rounded(l->count);
-    float c[3][3], face[3];
-    const double sign = t->mirrored ? -1 : 1;
-    for (int i = 0; i < 3; i++) {
-        face[i] = (float)(sign * t->face[i]);
-        for (int k = 0; k < 3; k++) c[k][i] = (float)t->corner_normal[k][i];
-    }
+    float c[3][3], face[3], all[3];
+    svoi_plain_normals(t, face, all);
+    l->one_normal = !t->smooth;
     if (!t->smooth) {
         for (int k = 0; k < 3; k++)
-            for (uint32_t i = 0; i < n; i++) l->normal[k][i] = face[k];
+            for (uint32_t i = 0; i < n; i++) l->normal[k][i] = all[k];
         return;
     }
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) c[k][i] = (float)t->corner_normal[k][i];
     for (uint32_t i = 0; i < n; i++) {
         float b0 = l->b[0][i], b1 = l->b[1][i], b2 = l->b[2][i];
         float x = b0 * c[0][0] + b1 * c[1][0] + b2 * c[2][0], y = b0 * c[0][1] + b1 * c[1][1] + b2 * c[2][1], z = b0 * c[0][2] + b1 * c[1][2] + b2 * c[2][2];
@@ -431,6 +440,11 @@ static void encode_normals(const float *x, const float *y, const float *z, uint3
 static void write_normals(const svoi_lanes *l, const uint32_t *index, uint32_t count, uint8_t *out)
 {
     uint32_t bytes[SVOI_LANES];
+    if (l->one_normal) {
+        encode_normals(l->normal[0], l->normal[1], l->normal[2], 1, bytes);
+        for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], &bytes[0], 4);
+        return;
+    }
     encode_normals(l->normal[0], l->normal[1], l->normal[2], rounded(count), bytes);
     for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], &bytes[i], 4);
 }
@@ -498,6 +512,7 @@ void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *l, const uint64
                      uint8_t *const channels[SVO_MAX_CHANNELS])
 {
     const uint32_t fields = layout->fields;
+    l->one_normal = false;
     for (uint32_t i = 0; i < count; i++) {
         const uint64_t *v = sums + (uint64_t)i * fields;
         const double weight = (double)(int64_t)v[layout->sum_weight], inverse = 1 / (weight * 65535);

@@ -43,6 +43,7 @@ typedef struct svoi_lanes {
     float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES], coverage[SVOI_LANES]; /* 0..1; normals unit */
     double at[2][SVOI_LANES];    /* texel coordinates, while a texture is read */
     int32_t integer[3][SVOI_LANES];
+    bool one_normal;                                  /* all normals are the first */
     float offset_x[SVOI_LANES], offset_y[SVOI_LANES]; /* of inner voxels: from the base */
     uint8_t step[SVOI_LANES];                         /* of inner voxels: row of the table */
 } svoi_lanes;
@@ -60,6 +61,8 @@ void svoi_inner_values(const svo_shader *s, svo_facet *t, const svoi_inner *inne
 void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svoi_inner *inner, svoi_inner_texture *out);
 /* Averages of a texture over inner voxels, at the lanes' offsets and steps. */
 void svoi_inner_read(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
+/* The normal of the face, and that of all corners where the facet is not smooth. */
+void svoi_plain_normals(const svo_facet *t, float face[3], float corners[3]);
 /* Codes to places. */
 void svoi_lanes_place(const svo_facet *t, svoi_lanes *l);
 /* Areas alone. */
