@@ -2,7 +2,7 @@
  * error; then the cheapest partition bottom-up. A range is not looked at when no kind could beat its halves. */
 #include <math.h>
 #ifdef __SSE__
-#include <xmmintrin.h>
+#include <immintrin.h>
 #endif
 
 #include "svo_quantize.h"
