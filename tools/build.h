@@ -24,6 +24,8 @@ typedef struct build_step {
     uint32_t tries;
     int pid;
     double started;
+    double expected; /* seconds: of an earlier run of it; 0: not known */
+    double took;     /* seconds of this run, once it has ended */
     char key[33];        /* of its inputs' content, options and version; empty before it is known */
 } build_step;
 

@@ -52,7 +52,7 @@ static svo_result check_name(const char *name, svo_error *err)
 static char *option_text(const char *where, const char *name, const json_t *v, bool *none, svo_error *err)
 {
     static const char *const own[] = {"output", "report", "threads", "memory", "force", "depfile", "depfile-beside", "key", "shard", "dry-run", "quiet", "verbose",
-                                      "help", "version", "no-progress"};
+                                      "help", "version", "progress", "no-progress"};
     *none = json_is_false(v) || json_is_null(v);
     for (size_t i = 0; i < sizeof own / sizeof own[0]; i++)
         if (strcmp(own[i], name) == 0) {

@@ -150,6 +150,7 @@ static svo_result start(runner *r, build_step *s, svo_error *err)
 static void settle(runner *r, build_step *s, int code)
 {
     double seconds = svo_seconds() - s->started;
+    s->took = seconds;
     svo_error inner = {0};
     char why[400] = "";
     if (code == 0) {
@@ -237,6 +238,41 @@ static svo_result consider(runner *r, build_step *s, bool *progress, svo_error *
     return *progress = true, SVO_OK;
 }
 
+/* --- how far it is --- */
+
+/* What the steps took when they last ran, by their reports. Read before any of these is replaced, and only where progress is shown. */
+static void expect(runner *r)
+{
+    if (!cli_progress_wanted(r->c)) return;
+    for (uint32_t i = 0; i < r->p->count; i++) {
+        json_t *report = read_report(&r->p->steps[i]);
+        r->p->steps[i].expected = json_number_value(json_object_get(report, "wall_seconds"));
+        json_decref(report);
+    }
+}
+
+/* Seconds of work of a step: measured now, else by an earlier run, else as the others of its kind. */
+static void show_progress(runner *r)
+{
+    if (!cli_progress_wanted(r->c)) return;
+    double sum[BUILD_KINDS] = {0}, known[BUILD_KINDS] = {0}, all_sum = 0, all_known = 0, done = 0, total = 0;
+    for (uint32_t i = 0; i < r->p->count; i++) {
+        const build_step *s = &r->p->steps[i];
+        double seconds = s->took > 0 ? s->took : s->expected;
+        if (seconds > 0) sum[s->kind] += seconds, known[s->kind]++, all_sum += seconds, all_known++;
+    }
+    double now = svo_seconds();
+    for (uint32_t i = 0; i < r->p->count; i++) {
+        const build_step *s = &r->p->steps[i];
+        if (s->state == BUILD_CURRENT || s->state == BUILD_SKIPPED || s->state == BUILD_STALE) continue; /* no work */
+        double seconds = s->took > 0 ? s->took : s->expected > 0 ? s->expected : known[s->kind] > 0 ? sum[s->kind] / known[s->kind] : all_known > 0 ? all_sum / all_known : 1;
+        total += seconds;
+        if (s->state == BUILD_BUILT || s->state == BUILD_FAILED) done += seconds;
+        else if (s->state == BUILD_RUNNING) done += now - s->started < 0.95 * seconds ? now - s->started : 0.95 * seconds;
+    }
+    cli_progress_steps(r->c, "building", r->finished, r->p->count, total > 0 ? done / total : -1);
+}
+
 /* Look at all waiting steps. */
 static svo_result sweep(runner *r, bool *progress, svo_error *err)
 {
@@ -247,9 +283,10 @@ static svo_result sweep(runner *r, bool *progress, svo_error *err)
         bool full = r->running >= r->jobs;
         if (s->state == BUILD_WAITING && result == SVO_OK && !full) result = consider(r, s, progress, err);
         if (s->state == BUILD_WAITING || s->state == BUILD_RUNNING) r->open[kept++] = r->open[i];
-        cli_progress(r->c, "building", r->p->count != 0 ? (double)r->finished / r->p->count : -1);
+        if (i % 64 == 0) show_progress(r);
     }
     r->open_count = kept;
+    show_progress(r);
     return result;
 }
 
@@ -307,6 +344,7 @@ svo_result build_run(cli *c, build_plan *p, const build_options *o, build_totals
     svo_result result = r.open != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     for (uint32_t i = 0; result == SVO_OK && i < p->count; i++) r.open[i] = i;
     r.open_count = p->count;
+    expect(&r);
     if (result == SVO_OK) result = loop(&r, err);
     if (result != SVO_OK) stop_all(&r);
     free(r.open);

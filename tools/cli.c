@@ -30,6 +30,8 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
     out[n++] = (cli_option){.name = "quiet", .letter = 'q', .kind = CLI_FLAG, .value = &c->quiet, .help = "Print errors only."};
     out[n++] = (cli_option){.name = "verbose", .letter = 'v', .kind = CLI_FLAG, .value = &c->verbose,
                             .help = "Say more; may be repeated."};
+    out[n++] = (cli_option){.name = "progress", .kind = CLI_FLAG, .value = &c->progress,
+                            .help = "Say how far long work is also where stderr is no terminal: a line a second."};
     out[n++] = (cli_option){.name = "no-progress", .kind = CLI_FLAG, .value = &c->no_progress,
                             .help = "No progress line at a terminal."};
     out[n++] = (cli_option){.name = "help", .letter = 'h', .kind = CLI_FLAG, .value = help, .help = "Print this help; --help=man prints it as a manual page, --help=bash the completion of bash."};
@@ -79,18 +81,6 @@ void cli_verbose(const cli *c, const char *format, ...)
     va_start(args, format);
     say(c, format, args);
     va_end(args);
-}
-
-void cli_progress(cli *c, const char *what, double fraction)
-{
-    if (c->quiet || c->no_progress || !isatty(STDERR_FILENO)) return;
-    double now = svo_seconds();
-    if (c->progress_shown && now - c->progress_at < 1.0 / 6) return;
-    c->progress_at = now;
-    c->progress_shown = true;
-    if (fraction >= 0) fprintf(stderr, "\r\033[K%s: %s %3.0f%%", c->tool->name, what, 100 * (fraction < 1 ? fraction : 1));
-    else fprintf(stderr, "\r\033[K%s: %s", c->tool->name, what);
-    fflush(stderr);
 }
 
 /* --- leaving --- */

@@ -20,6 +20,7 @@
 #include <jansson.h>
 
 #include "svo_base.h"
+#include "svo_stream.h"
 
 typedef enum cli_kind {
     CLI_FLAG,   /* bool * */
@@ -61,14 +62,14 @@ typedef struct cli_tool {
 struct fmt_output;
 
 /* State of a run. Common options: -h --help, --version, -o --output, -f --force, -q --quiet, -v --verbose,
- * --threads N, --memory SIZE, --report R.json, --no-progress. `--` ends options. */
+ * --threads N, --memory SIZE, --report R.json, --progress, --no-progress. `--` ends options. */
 typedef struct cli {
     const cli_tool *tool;
     const char **inputs; /* point into argv; "-" is stdin */
     int input_count;
     const char *output; /* NULL if not given */
     const char *report;
-    bool force, quiet, no_progress;
+    bool force, quiet, progress, no_progress;
     int verbose;
     uint64_t threads; /* 0 = all */
     uint64_t memory;  /* bytes, 0 = no limit */
@@ -78,8 +79,10 @@ typedef struct cli {
     const char *phase;
     /* private */
     struct fmt_output *report_file;
-    double progress_at;
-    bool progress_shown;
+    double progress_at, progress_begin, progress_from; /* seconds; fraction at progress_begin */
+    char progress_what[64];
+    uint64_t progress_done;
+    bool progress_shown; /* a line that the next message must clear */
 } cli;
 
 /* Parse the text of an option's value as the command line does (sizes with K, M ...); false with a reason in why. */
@@ -112,8 +115,25 @@ json_t *cli_text(const char *value);
 /* stderr, prefixed "tool: ". Info is silent under -q; verbose needs -v. */
 void cli_info(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
 void cli_verbose(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
-/* Progress at a terminal only, at most 6 times a second, not under -q or --no-progress. fraction < 0 = unknown. */
+/* Progress on stderr with the time it took so far and the time that is left by it: at a terminal 6 times a second in place, with --progress elsewhere a line a
+ * second; not under -q or --no-progress. `what` names one stretch of work; fraction < 0 = unknown. */
 void cli_progress(cli *c, const char *what, double fraction);
+/* The same with "done of total". Shown at once when all are done. */
+void cli_progress_steps(cli *c, const char *what, uint64_t done, uint64_t total, double fraction);
+bool cli_progress_wanted(const cli *c);
+/* Chunks on their way through a sink or a source, told as progress: by the part of space that is done, or by the bytes read of `bytes` (0: unknown). Without
+ * progress the inner one is returned as it is. *w must outlive it. */
+typedef struct cli_watch {
+    cli *c;
+    const char *what;
+    svo_chunk_sink sink;
+    svo_chunk_source source;
+    uint64_t bytes, total;
+    _Atomic uint64_t reached;
+    _Atomic uint32_t level;
+} cli_watch;
+svo_chunk_sink cli_watch_sink(cli_watch *w, cli *c, const char *what, svo_chunk_sink inner);
+svo_chunk_source cli_watch_source(cli_watch *w, cli *c, const char *what, uint64_t bytes, svo_chunk_source inner);
 
 /* JSON text for META: tool, version, options that influence the result (an object, stolen) and inputs (an array of
  * cli_provenance_input, stolen; may be NULL). Sorted keys, one line; NULL when out of memory; freed with free(). */

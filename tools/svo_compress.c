@@ -2,6 +2,7 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "cli_quality.h"
 #include "fmt_spill.h"
@@ -56,7 +57,10 @@ static svo_result read_and_build(run *r, svo_error *err)
     SVO_TRY(fmt_input_open(r->c->inputs[0], &in, err));
     svo_result result = fmt_svo_reader_open(in, r->options.allocator, &reader, err);
     if (result == SVO_OK) {
-        svo_chunk_source source = fmt_svo_reader_source(reader);
+        struct stat st;
+        cli_watch watch;
+        uint64_t bytes = strcmp(r->c->inputs[0], "-") != 0 && stat(r->c->inputs[0], &st) == 0 && S_ISREG(st.st_mode) ? (uint64_t)st.st_size : 0;
+        svo_chunk_source source = cli_watch_source(&watch, r->c, "packing", bytes, fmt_svo_reader_source(reader));
         result = svo_dag_build(fmt_svo_reader_info(reader), &source, &r->options, &r->packed, &r->report, err);
     }
     if (result == SVO_OK && fmt_svo_reader_shard(reader) != NULL) {

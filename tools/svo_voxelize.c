@@ -303,7 +303,8 @@ static svo_result write_tree(cli *c, const tool_options *o, const svo_mesh *mesh
     svo_voxelize_report report = {0};
     if (r == SVO_OK) {
         cli_phase(c, "voxelize");
-        svo_chunk_sink sink = fmt_svo_writer_sink(writer);
+        cli_watch watch;
+        svo_chunk_sink sink = cli_watch_sink(&watch, c, "voxelizing", fmt_svo_writer_sink(writer));
         r = svo_voxelize(mesh, &j->options, &j->info, &sink, &report, err);
     }
     if (r == SVO_OK && j->options.reference_voxels != 0) { /* it was the end of the phase */

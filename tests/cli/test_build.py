@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -210,6 +211,49 @@ def test_budget_and_lock(folder):
         fcntl.flock(f, fcntl.LOCK_EX)
         check("another svo-build" in tool("svo-build", path).err)
         build(path, code=2)
+
+
+def test_progress(folder):
+    """Done of total, the share by measured seconds, and the time that is left: a line a second with --progress, in place at a terminal, nothing otherwise."""
+    assets = some(folder, 6)
+    path = manifest(folder, assets, {"voxelize": {"depth": 7}})
+    check("building" not in tool("svo-build", path).err)
+    shutil.rmtree(folder / "out")
+    for again in range(2): # the second run knows what the steps took
+        lines = [l for l in tool("svo-build", path, "--progress", "-j", 1).err.split("\n") if "building" in l]
+        seen = [re.fullmatch(r"svo-build: building (\d+) of 12(?: +(\d+)%)?(?:, \d+:\d\d so far)?(?:, about \d+:\d\d left)?", l) for l in lines]
+        check(seen and all(seen), lines)
+        done = [int(m.group(1)) for m in seen]
+        check(done == sorted(done) and done[-1] == 12 and seen[-1].group(2) in ("100", None), lines)
+        for f in (folder / "out/.svo-build").glob("*.state"):
+            f.unlink()
+    check("building" not in tool("svo-build", path, "--progress", "-q").err and "building" not in tool("svo-build", path, "--progress", "--no-progress").err)
+    for f in (folder / "out/.svo-build").glob("*.state"):
+        f.unlink()
+    primary, secondary = os.openpty()
+    p = subprocess.Popen([str(support.tools / "svo-build"), str(path)], stdout=subprocess.DEVNULL, stderr=secondary)
+    os.close(secondary)
+    shown = b""
+    while True:
+        try:
+            more = os.read(primary, 65536)
+        except OSError: # the last writer has gone
+            break
+        if not more:
+            break
+        shown += more
+    os.close(primary)
+    check(p.wait(60) == 0 and b"\r\x1b[Ksvo-build: building 0 of 12" in shown and b"building 12 of 12 100%" in shown, shown)
+
+
+def test_progress_of_tools(folder):
+    support.sphere_obj(folder / "s.obj", rings=60)
+    for name, args in (("svo-voxelize", (folder / "s.obj", "-o", folder / "s.svo", "--depth", 8)), ("svo-compress", (folder / "s.svo", "-o", folder / "s.svdag")),
+                       ("svo-render", (folder / "s.svdag", "-o", folder / "s.png", "--size", "64x64"))):
+        r = tool(name, *args, "-f", "--progress")
+        check(r.code == 0 and re.search(r"^%s: \w+ +\d+%%" % name, r.err, re.M), r)
+        plain = tool(name, *args, "-f")
+        check(plain.code == 0 and not re.search(r"\d%", plain.err), plain)
 
 
 def test_scenes(folder):
