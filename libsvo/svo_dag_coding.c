@@ -7,6 +7,7 @@
 #include "svo_quantize.h"
 #include "svo_task.h"
 #include "svoi_dag.h"
+#include "svoi_palette.h"
 
 /* A table entry costs its bytes once and widens every index; a value this rare is better held by a lattice. */
 enum { RARE = 4, SMALL_TABLE = 4096 };
@@ -146,10 +147,20 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
     s->err = &read;
     svo_result r = svo_palette_encode(&job, directory, payload, stats, err);
     if (s->failed) return svo_fail(err, read.code, "%s", read.message);
-    if (r == SVO_OK && svo_buffer_append(table, NULL, (size_t)table_count * stride) == NULL) r = SVO_OUT_OF_MEMORY;
+    svoi_used used = {0};
+    if (r == SVO_OK) r = svoi_palette_drop_unused(c->channel.kind, table_count, directory, payload, &used, &p->memory.base, err);
+    if (r == SVO_OK && used.count == 0) used.bit[0] = used.count = 1; /* lattices alone: a table has an entry */
+    if (r == SVO_OK && svo_buffer_append(table, NULL, (size_t)used.count * stride) == NULL) r = SVO_OUT_OF_MEMORY;
+    uint8_t *to = table->data;
+    for (uint64_t i = 0; i < table_count && r == SVO_OK; i++) {
+        if ((used.bit[i / 64] >> i % 64 & 1) == 0) continue;
+        svoi_store_value(to, stride, k->table[i]);
+        to += stride;
+    }
+    table_count = used.count;
+    svoi_used_free(&used, &p->memory.base);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "attributes", err);
     if (r != SVO_OK) return r;
-    for (uint64_t i = 0; i < table_count; i++) svoi_store_value(table->data + i * stride, stride, k->table[i]);
     c->encoding = SVO_ENCODING_BLOCKS;
     c->table = table->data;
     c->table_count = table_count;
@@ -266,9 +277,9 @@ static svo_result find_price(packing *k, svo_palette_goal *goal, double aim, uin
     return make_goal_table(k, *goal, table_count, err);
 }
 
-static svo_result report_within(packing *k, const svo_palette_stats *stats, uint64_t table_count, svo_palette_goal goal, svo_error *err)
+static svo_result report_within(packing *k, const svo_palette_stats *stats, svo_palette_goal goal, svo_error *err)
 {
-    k->report->distinct_out = table_count;
+    k->report->distinct_out = k->p->view.channels[k->channel].table_count;
     k->report->error_mean = stats->error_sum / (double)k->values->count;
     k->report->error_max = stats->error_max;
     if (stats->error_max > goal.bound) return svo_fail(err, SVO_RUNTIME, "an error of %.9g is above the bound of %.9g", stats->error_max, goal.bound);
@@ -291,7 +302,7 @@ static svo_result pack_within(packing *k, svo_palette_goal goal, double aim, svo
         goal.price *= pow(reached / aim, goal.squares ? 1.1 : 1.6) * 1.03; /* the sample was kinder than the whole */
         forget_blocks(k);
     }
-    return report_within(k, &stats, table_count, goal, err);
+    return report_within(k, &stats, goal, err);
 }
 
 /* With the table of k->distinct (or the first value alone where there are too many), smaller than raw or raw. */
@@ -336,7 +347,7 @@ static svo_result pack_many(packing *k, svo_palette_goal goal, svo_error *err)
     source s = {k->values, NULL, NULL, NULL, false};
     svo_palette_stats stats;
     SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
-    return report_within(k, &stats, table_count, goal, err);
+    return report_within(k, &stats, goal, err);
 }
 
 svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,

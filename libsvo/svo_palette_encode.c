@@ -131,9 +131,6 @@ static uint32_t block_value(const svoi_encoder *e, const svoi_block *b, uint32_t
 
 /* --- superblocks ------------------------------------------------------------------------------------------------- */
 
-/* Map, headers and data; a superblock of noise is one block, and no block begins beyond SVOI_REACH. */
-enum { SUPERBLOCK_MAX = SVO_PALETTE_ENTRY + 2 * SVOI_GRANULES + SVOI_REACH + 5 * SVO_SUPERBLOCK };
-
 typedef struct worker {
     const svoi_encoder *e;
     const svoi_chooser *chooser;
@@ -141,7 +138,7 @@ typedef struct worker {
     svoi_block block;
     struct { uint64_t key; double error; } cache[CACHE];
     uint32_t values[SVO_SUPERBLOCK];
-    uint8_t out[SUPERBLOCK_MAX];
+    uint8_t out[SVOI_SUPERBLOCK_MAX];
 } worker;
 
 static double cached_error(worker *w, uint32_t value, uint32_t other)

@@ -69,6 +69,23 @@ extern const svoi_chooser svoi_exact, svoi_lossy;
 svo_result svoi_lossy_prepare(svoi_encoder *e, svo_error *err);
 void svoi_lossy_release(svoi_encoder *e);
 
+/* Map, headers and data; a superblock of noise is one block, and no block begins beyond SVOI_REACH. */
+enum { SVOI_SUPERBLOCK_MAX = SVO_PALETTE_ENTRY + 2 * SVOI_GRANULES + SVOI_REACH + 5 * SVO_SUPERBLOCK };
+
+/* Which entries of a table its blocks name. */
+typedef struct svoi_used {
+    uint64_t *bit;    /* of each entry */
+    uint32_t *before; /* entries named before each word of `bit` */
+    uint64_t words, count;
+} svoi_used;
+uint32_t svoi_used_index(const svoi_used *u, uint32_t index); /* of a named entry, among these */
+void svoi_used_free(svoi_used *u, const svo_allocator *a);
+
+/* Rewrite sound blocks for a table without the entries that none of them names. `used` (to be freed) says which those are not; count 0: there
+ * was nothing to encode. */
+svo_result svoi_palette_drop_unused(svo_channel_kind kind, uint64_t table_count, svo_buffer *directory, svo_buffer *payload, svoi_used *used,
+                                    const svo_allocator *a, svo_error *err);
+
 /* Error of `other` for `value`: CIE94 or degrees, in double precision. */
 double svoi_error_of(svo_channel_kind kind, uint32_t value, uint32_t other);
 

@@ -7,6 +7,7 @@
 
 #include "svo_color.h"
 #include "svo_palette.h"
+#include "svoi_palette.h"
 #include "test.h"
 
 typedef struct stream { uint32_t *v; uint64_t count; svo_channel_kind kind; } stream;
@@ -66,6 +67,31 @@ static double error_of(svo_channel_kind kind, uint32_t value, uint32_t other)
     return svo_delta_e94(x, y);
 }
 
+/* Without the entries that no block names: the same values, no more bytes, and every entry named. `e` is changed. */
+static void check_unused(const stream *s, encoded *e)
+{
+    svoi_used used, again;
+    svo_error err = {0};
+    uint32_t stride = svo_channel_stride(s->kind);
+    uint64_t before = e->payload.size, kept = 0;
+    uint32_t *values = malloc((s->count + 1) * sizeof *values);
+    for (uint64_t i = 0; i < s->count; i++) values[i] = svo_palette_value(&e->p, i);
+    CHECK_OK(svoi_palette_drop_unused(s->kind, e->p.table_count, &e->directory, &e->payload, &used, NULL, &err));
+    for (uint64_t i = 0; i < e->p.table_count; i++)
+        if (used.bit[i / 64] >> i % 64 & 1) memmove(e->table + kept++ * stride, e->table + i * stride, stride);
+    CHECK_U64(kept, used.count);
+    e->p.table_count = kept;
+    e->p.payload_size = e->payload.size;
+    CHECK(e->payload.size <= before);
+    if (svo_palette_check(&e->p, NULL, &err) != SVO_OK) test_fail(__FILE__, __LINE__, "without unused entries: %s", err.message);
+    for (uint64_t i = 0; i < s->count && !test_failed(); i++) CHECK_U64(svo_palette_value(&e->p, i), values[i]);
+    CHECK_OK(svoi_palette_drop_unused(s->kind, kept, &e->directory, &e->payload, &again, NULL, &err));
+    CHECK_U64(again.count, kept);
+    svoi_used_free(&used, NULL);
+    svoi_used_free(&again, NULL);
+    free(values);
+}
+
 /* Encodes with 1, 2 and 7 threads, checks, reads every value. Returns bytes of directory and payload. */
 static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t table_count, svo_palette_goal goal)
 {
@@ -98,6 +124,7 @@ static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t ta
     if (fabs(most - e.stats.error_max) > 1e-4 || fabs(sum - e.stats.error_sum) > 1e-4 * (double)(s->count + 1))
         test_fail(__FILE__, __LINE__, "errors are said to be %g, %g but are %g, %g", e.stats.error_sum, e.stats.error_max, sum, most);
     uint64_t bytes = e.directory.size + e.payload.size;
+    check_unused(s, &e);
     encoded_free(&e);
     return bytes;
 }
