@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "fmti_svo.h"
+#include "svo_algorithm1.h"
 
 #define HEAD FMT_FOURCC('H', 'E', 'A', 'D')
 #define NODE FMT_FOURCC('N', 'O', 'D', 'E')
@@ -48,7 +49,7 @@ static size_t store_head(const svo_view *v, uint8_t *b)
         uint8_t *r = b + HEAD_FIXED + RECORD * i;
         fmti_store_channel(&v->channels[i].channel, r);
         fmt_store32(r + 32, (uint32_t)v->channels[i].encoding);
-        if (v->channels[i].encoding == SVO_ENCODING_BLOCKS) fmt_store64(r + 40, v->channels[i].table_count);
+        if (v->channels[i].encoding >= SVO_ENCODING_BLOCKS) fmt_store64(r + 40, v->channels[i].table_count);
     }
     return HEAD_FIXED + RECORD * (size_t)v->channel_count;
 }
@@ -106,14 +107,16 @@ static svo_result put_fast(fmt_writer *w, const svo_view *v, svo_error *err)
     return put(w, TREE, 0, f->tree_bytes, 1, f->tree, err);
 }
 
+static uint32_t entry_bytes(const svo_view_channel *c) { return c->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY; }
+
 static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_error *err)
 {
     const svo_view_channel *c = &v->channels[i];
     uint32_t stride = svo_channel_stride(c->channel.kind);
     if (c->encoding == SVO_ENCODING_RAW) return put(w, ARAW, i, v->attribute_count, stride, c->raw, err);
-    if (c->encoding != SVO_ENCODING_BLOCKS) return SVO_OK;
+    if (c->encoding != SVO_ENCODING_BLOCKS && c->encoding != SVO_ENCODING_LONG_BLOCKS) return SVO_OK;
     SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
-    SVO_TRY(put(w, ADIR, i, c->superblock_count, SVO_PALETTE_ENTRY, c->directory, err));
+    SVO_TRY(put(w, ADIR, i, c->superblock_count, entry_bytes(c), c->directory, err));
     return put(w, APAY, i, c->payload_size, 1, c->payload, err);
 }
 
@@ -184,10 +187,10 @@ static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t 
     if (why != NULL) return bad(r, chunk, why);
     uint32_t encoding = fmt_load32(b + 32);
     c->table_count = fmt_load64(b + 40);
-    if (encoding > SVO_ENCODING_BLOCKS || fmt_load32(b + 36) != 0) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
+    if (encoding > SVO_ENCODING_LONG_BLOCKS || fmt_load32(b + 36) != 0) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
     c->encoding = (svo_encoding)encoding;
     if (c->channel.constant != (c->encoding == SVO_ENCODING_CONSTANT)) return bad(r, chunk, "constant flag and encoding of a channel disagree (DAG-02)");
-    if ((c->encoding == SVO_ENCODING_BLOCKS) != (c->table_count != 0)) return bad(r, chunk, "table size and encoding of a channel disagree (DAG-02)");
+    if ((c->encoding >= SVO_ENCODING_BLOCKS) != (c->table_count != 0)) return bad(r, chunk, "table size and encoding of a channel disagree (DAG-02)");
     return SVO_OK;
 }
 
@@ -318,7 +321,7 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
         r->usable &= ~((uint64_t)1 << i);
         SVO_TRY(go_on(r, bad(r, chunk, "wrong number of table entries (DAG-08)")));
     }
-    SVO_TRY(take(r, ADIR, i, SVO_PALETTE_ENTRY, &chunk, &c->directory));
+    SVO_TRY(take(r, ADIR, i, entry_bytes(c), &chunk, &c->directory));
     c->superblock_count = chunk->element_count;
     SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
     c->payload_size = chunk->stored_size;

@@ -1,9 +1,8 @@
-#include "svo_algorithm1.h"
+#include "svoi_algorithm1.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "svo_palette.h"
 #include "svo_task.h"
 
 enum { LARGE = 4 /* widths of phase one: 0..3 */, WIDTHS = 9 /* of phase two: 0..8 */, PIECES = 64 };
@@ -218,14 +217,15 @@ static int compare_u32(const void *a, const void *b)
 }
 
 typedef struct shelf {
-    uint64_t *slots, slot_count; /* number of a block + 1, whose palette it is */
+    uint64_t *slots, slot_count; /* place of a palette's entries; of each also its number */
+    uint64_t *number;
     uint64_t *seen;              /* table index -> stamp */
     uint64_t stamp;
 } shelf;
 
 
 /* The palette of runs [begin, end), shared with an equal one. Stored as its length, then its entries. */
-static uint64_t put_palette(const state *s, shelf *sh, svo_algorithm1_result *r, uint64_t *used, uint32_t begin, uint32_t end)
+static uint64_t put_palette(const state *s, shelf *sh, svo_algorithm1_result *r, uint64_t *used, uint32_t begin, uint32_t end, uint64_t *number)
 {
     uint32_t *to = r->palettes + *used + 1, n = 0;
     sh->stamp++;
@@ -242,12 +242,15 @@ static uint64_t put_palette(const state *s, shelf *sh, svo_algorithm1_result *r,
         if (sh->slots[i] == 0) {
             sh->slots[i] = *used + 1;
             *used += n + 1;
-            r->palette_count++;
+            sh->number[i] = *number = r->palette_count++;
             r->palette_entries += n;
             return sh->slots[i];
         }
         uint64_t at = sh->slots[i] - 1;
-        if (r->palettes[at] == n && memcmp(r->palettes + at + 1, to, n * sizeof *to) == 0) return at + 1;
+        if (r->palettes[at] == n && memcmp(r->palettes + at + 1, to, n * sizeof *to) == 0) {
+            *number = sh->number[i];
+            return at + 1;
+        }
     }
 }
 
@@ -269,21 +272,26 @@ static svo_result collect(state *s, list *head, svo_algorithm1_result *r, svo_er
     r->blocks = svo_alloc(s->a, r->capacity[0], sizeof *r->blocks);
     r->palettes = svo_alloc(s->a, r->capacity[1], sizeof *r->palettes);
     sh.slots = svo_calloc(s->a, sh.slot_count, sizeof *sh.slots);
+    sh.number = svo_calloc(s->a, sh.slot_count, sizeof *sh.number);
     sh.seen = svo_calloc(s->a, s->table_count, sizeof *sh.seen);
     svo_result result = SVO_OK;
-    if ((head->count != 0 && r->blocks == NULL) || r->palettes == NULL || sh.slots == NULL || sh.seen == NULL) {
+    if ((head->count != 0 && r->blocks == NULL) || r->palettes == NULL || sh.slots == NULL || sh.number == NULL || sh.seen == NULL) {
         result = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
     } else {
         uint64_t used = 0;
         for (uint64_t i = 0; i < head->count; i++) {
             const found *f = &head->at[i];
-            r->blocks[i] = (svo_algorithm1_block){s->start[f->begin], put_palette(s, &sh, r, &used, f->begin, f->end), f->bits};
+            svo_algorithm1_block *b = &r->blocks[i];
+            b->begin = s->start[f->begin];
+            b->palette = put_palette(s, &sh, r, &used, f->begin, f->end, &b->palette_number);
+            b->bits = f->bits;
             r->bits += (s->start[f->end] - s->start[f->begin]) * f->bits + s->directory_bits;
         }
         r->block_count = head->count;
         r->bits += r->palette_entries * s->table_bits;
     }
     svo_free(s->a, sh.slots, sh.slot_count, sizeof *sh.slots);
+    svo_free(s->a, sh.number, sh.slot_count, sizeof *sh.number);
     svo_free(s->a, sh.seen, s->table_count, sizeof *sh.seen);
     return result;
 }
@@ -309,8 +317,13 @@ static svo_result find_runs(state *s, svo_error *err)
 svo_result svo_algorithm1(const uint32_t *index, uint64_t count, uint64_t table_count, uint32_t directory_bits, uint32_t threads,
                           const svo_allocator *a, svo_algorithm1_result *out, svo_error *err)
 {
-    state s = {.a = a, .index = index, .count = count, .table_count = table_count, .directory_bits = directory_bits,
-               .table_bits = svo_palette_table_bits(table_count)};
+    return svoi_algorithm1(index, count, table_count, svo_palette_table_bits(table_count), directory_bits, threads, a, out, err);
+}
+
+svo_result svoi_algorithm1(const uint32_t *index, uint64_t count, uint64_t table_count, uint32_t table_bits, uint32_t directory_bits, uint32_t threads,
+                           const svo_allocator *a, svo_algorithm1_result *out, svo_error *err)
+{
+    state s = {.a = a, .index = index, .count = count, .table_count = table_count, .directory_bits = directory_bits, .table_bits = table_bits};
     list head = {0};
     svo_algorithm1_result r = {0};
     *out = r;

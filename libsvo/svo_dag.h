@@ -29,6 +29,7 @@ typedef struct svo_dag_options {
     double color_psnr;     /* > 0, with color_delta_e: aim at this PSNR of sRGB bytes in dB, with few bytes */
     uint32_t normal_bits;  /* 0 or 4..32 (even) */
     double normal_degrees; /* > 0: largest angle of any attribute; normal_bits must be 0 */
+    bool algorithm1;       /* palettes of Algorithm 1 (svo_algorithm1.h) instead of blocks, to compare with; not with a bound */
     uint32_t threads;      /* 0 = all */
     uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT */
     /* Where attribute values wait that are more than `value_memory` bytes (0: a quarter of `memory`, or 256 MiB without a limit); NULL: they wait in

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "svo_palette.h"
+#include "svo_algorithm1.h"
 #include "svo_quantize.h"
 #include "svo_task.h"
 #include "svoi_dag.h"
@@ -91,8 +91,8 @@ static int most_frequent_first(const void *a, const void *b)
 }
 
 /* The distinct values among mapped[], most frequent first, so that those of whole blocks fit the headers. Rare ones are
- * left out where there are many. *table has room for `count`. */
-static svo_result make_table(const svo_packed *p, const uint32_t *mapped, const uint64_t *times, uint64_t count, uint32_t *table,
+ * left out where there are many, but for Algorithm 1, which has nothing else to hold them. *table has room for `count`. */
+static svo_result make_table(const svo_packed *p, bool all, const uint32_t *mapped, const uint64_t *times, uint64_t count, uint32_t *table,
                              uint64_t *table_count, uint64_t *kept_values, svo_error *err)
 {
     svoi_distinct kept = {.a = &p->memory.base};
@@ -103,7 +103,7 @@ static svo_result make_table(const svo_packed *p, const uint32_t *mapped, const 
         for (uint64_t i = 0; i < kept.count; i++) e[i] = (entry){kept.times[i], kept.value[i]};
         qsort(e, (size_t)kept.count, sizeof *e, most_frequent_first);
         uint64_t n = 0;
-        while (n < kept.count && (n < SMALL_TABLE || e[n].times >= RARE)) table[n] = e[n].value, n++;
+        while (n < kept.count && (all || n < SMALL_TABLE || e[n].times >= RARE)) table[n] = e[n].value, n++;
         *table_count = n;
         *kept_values = kept.count;
     }
@@ -121,6 +121,7 @@ typedef struct packing {
     svoi_distinct distinct;
     uint32_t *mapped, *table;
     uint64_t room; /* of both */
+    bool algorithm1;
     const svo_dag_options *options;
     svo_dag_channel_report *report;
 } packing;
@@ -145,15 +146,16 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
                            .allocator = &p->memory.base};
     svo_error read = {0};
     s->err = &read;
-    svo_result r = svo_palette_encode(&job, directory, payload, stats, err);
+    svo_result r = k->algorithm1 ? svo_algorithm1_encode(&job, directory, payload, err) : svo_palette_encode(&job, directory, payload, stats, err);
     if (s->failed) return svo_fail(err, read.code, "%s", read.message);
     svoi_used used = {0};
-    if (r == SVO_OK) r = svoi_palette_drop_unused(c->channel.kind, table_count, directory, payload, &used, &p->memory.base, err);
+    if (r == SVO_OK && !k->algorithm1) r = svoi_palette_drop_unused(c->channel.kind, table_count, directory, payload, &used, &p->memory.base, err);
+    if (k->algorithm1) used.count = table_count; /* its palettes name all */
     if (r == SVO_OK && used.count == 0) used.bit[0] = used.count = 1; /* lattices alone: a table has an entry */
     if (r == SVO_OK && svo_buffer_append(table, NULL, (size_t)used.count * stride) == NULL) r = SVO_OUT_OF_MEMORY;
     uint8_t *to = table->data;
     for (uint64_t i = 0; i < table_count && r == SVO_OK; i++) {
-        if ((used.bit[i / 64] >> i % 64 & 1) == 0) continue;
+        if (!k->algorithm1 && (used.bit[i / 64] >> i % 64 & 1) == 0) continue;
         svoi_store_value(to, stride, k->table[i]);
         to += stride;
     }
@@ -161,11 +163,11 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
     svoi_used_free(&used, &p->memory.base);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "attributes", err);
     if (r != SVO_OK) return r;
-    c->encoding = SVO_ENCODING_BLOCKS;
+    c->encoding = k->algorithm1 ? SVO_ENCODING_LONG_BLOCKS : SVO_ENCODING_BLOCKS;
     c->table = table->data;
     c->table_count = table_count;
     c->directory = directory->data;
-    c->superblock_count = directory->size / SVO_PALETTE_ENTRY;
+    c->superblock_count = directory->size / (k->algorithm1 ? SVO_ALGORITHM1_ENTRY : SVO_PALETTE_ENTRY);
     c->payload = payload->data;
     c->payload_size = payload->size;
     k->report->bytes = table->size + directory->size + payload->size;
@@ -187,6 +189,7 @@ static svo_result pack_exactly(packing *k, svo_error *err)
 {
     const svoi_distinct *d = &k->distinct;
     svo_channel_kind kind = k->p->view.channels[k->channel].channel.kind;
+    k->algorithm1 = k->options->algorithm1;
     svo_quantize_result q = {0};
     svo_result r = svo_quantize(kind, d->value, d->times, d->count, k->options, &k->p->memory.base, k->mapped, &q, err);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
@@ -194,7 +197,7 @@ static svo_result pack_exactly(packing *k, svo_error *err)
     k->report->error_mean = q.error_mean;
     k->report->error_max = q.error_max;
     uint64_t table_count = 0, kept = 0;
-    SVO_TRY(make_table(k->p, k->mapped, d->times, d->count, k->table, &table_count, &kept, err));
+    SVO_TRY(make_table(k->p, k->algorithm1, k->mapped, d->times, d->count, k->table, &table_count, &kept, err));
     k->report->distinct_out = kept;
     if (kept == 1) {
         make_constant(k->p, k->channel, k->mapped[0], k->report);
@@ -225,7 +228,7 @@ static svo_result make_goal_table(packing *k, svo_palette_goal goal, uint64_t *t
     svo_result r = svo_quantize(k->p->view.channels[k->channel].channel.kind, d->value, d->times, d->count, &o, &k->p->memory.base, k->mapped, &q, err);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
     if (r != SVO_OK) return r;
-    return make_table(k->p, k->mapped, d->times, d->count, k->table, table_count, &kept, err);
+    return make_table(k->p, false, k->mapped, d->times, d->count, k->table, table_count, &kept, err);
 }
 
 /* Some superblocks, evenly spread. */
@@ -313,7 +316,7 @@ static svo_result pack_listed(packing *k, bool many, svo_error *err)
     uint64_t table_count = 1, kept = d->count, raw = k->values->count * k->values->stride;
     SVO_TRY(take_room(k, many ? 1 : d->count, err));
     k->table[0] = first;
-    if (!many) SVO_TRY(make_table(k->p, d->value, d->times, d->count, k->table, &table_count, &kept, err));
+    if (!many) SVO_TRY(make_table(k->p, false, d->value, d->times, d->count, k->table, &table_count, &kept, err));
     k->report->distinct_out = many ? 0 : kept;
     if (!many && kept == 1) {
         make_constant(k->p, k->channel, d->value[0], k->report);
@@ -343,7 +346,7 @@ static svo_result pack_many(packing *k, svo_palette_goal goal, svo_error *err)
     if (!within) return pack_listed(k, m.many, err);
     uint64_t table_count = 0, kept = 0;
     SVO_TRY(take_room(k, k->distinct.count, err));
-    SVO_TRY(make_table(k->p, k->distinct.value, k->distinct.times, k->distinct.count, k->table, &table_count, &kept, err));
+    SVO_TRY(make_table(k->p, false, k->distinct.value, k->distinct.times, k->distinct.count, k->table, &table_count, &kept, err));
     source s = {k->values, NULL, NULL, NULL, false};
     svo_palette_stats stats;
     SVO_TRY(encode(k, &s, table_count, goal, &stats, err));

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "svo_algorithm1.h"
 #include "svo_skin.h"
 #include "svo_task.h"
 #include "svo_text.h"
@@ -207,12 +208,13 @@ static int compare_channels(const svo_view *v, const svo_view_channel *a, const 
     COMPARE(a->encoding, b->encoding);
     uint64_t stride = svo_channel_stride(a->channel.kind);
     if (a->encoding == SVO_ENCODING_RAW) return compare_bytes(a->raw, b->raw, v->attribute_count * stride);
-    if (a->encoding != SVO_ENCODING_BLOCKS) return 0;
+    if (a->encoding != SVO_ENCODING_BLOCKS && a->encoding != SVO_ENCODING_LONG_BLOCKS) return 0;
+    uint64_t entry = a->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY;
     COMPARE(a->table_count, b->table_count);
     COMPARE(a->superblock_count, b->superblock_count);
     COMPARE(a->payload_size, b->payload_size);
     if ((c = compare_bytes(a->table, b->table, a->table_count * stride)) != 0) return c;
-    if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * SVO_PALETTE_ENTRY)) != 0) return c;
+    if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * entry)) != 0) return c;
     return compare_bytes(a->payload, b->payload, a->payload_size);
 }
 
@@ -528,6 +530,7 @@ static uint64_t channel_bytes(const svo_view *v, const svo_view_channel *k)
 {
     uint64_t stride = svo_channel_stride(k->channel.kind);
     if (k->encoding == SVO_ENCODING_RAW) return v->attribute_count * stride;
+    if (k->encoding == SVO_ENCODING_LONG_BLOCKS) return k->table_count * stride + k->superblock_count * SVO_ALGORITHM1_ENTRY + k->payload_size;
     return k->encoding == SVO_ENCODING_BLOCKS ? k->table_count * stride + k->superblock_count * SVO_PALETTE_ENTRY + k->payload_size : 0;
 }
 

@@ -20,7 +20,7 @@ uint32_t svoi_table_index(const svoi_encoder *e, uint32_t value)
     }
 }
 
-static bool fill_slots(svoi_encoder *e)
+bool svoi_table_fill(svoi_encoder *e)
 {
     const svo_palette_job *j = e->job;
     e->slot_count = 64;
@@ -317,7 +317,7 @@ svo_result svo_palette_encode(const svo_palette_job *job, svo_buffer *directory,
              .superblocks = (job->count + SVO_SUPERBLOCK - 1) / SVO_SUPERBLOCK};
     if (job->table_count > (uint64_t)1 << 31) return svo_fail(err, SVO_LIMIT, "a channel's table has more than 2^31 values");
     if (stats != NULL) *stats = (svo_palette_stats){0};
-    if (!fill_slots(&r.e)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
+    if (!svoi_table_fill(&r.e)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
     svo_result result = job->goal.bound > 0 ? svoi_lossy_prepare(&r.e, err) : SVO_OK;
     if (result == SVO_OK) result = encode(&r, directory, payload, stats, err);
     svoi_lossy_release(&r.e);

@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "svo_morton.h"
-#include "svo_palette.h"
+#include "svo_algorithm1.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "files are mapped and used in place: little-endian hosts only");
 
@@ -25,6 +25,12 @@ void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uin
     case SVO_ENCODING_BLOCKS: {
         svo_palette p = svo_view_palette(v, channel);
         uint32_t value = svo_palette_value(&p, index);
+        memcpy(out, &value, stride);
+        break;
+    }
+    case SVO_ENCODING_LONG_BLOCKS: {
+        svo_palette p = svo_view_palette(v, channel);
+        uint32_t value = svo_algorithm1_value(&p, index);
         memcpy(out, &value, stride);
         break;
     }

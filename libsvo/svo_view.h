@@ -73,7 +73,8 @@ typedef struct svo_view_fast {
 typedef enum svo_encoding {
     SVO_ENCODING_CONSTANT = 0, /* svo_channel.value */
     SVO_ENCODING_RAW = 1,      /* attribute_count * stride bytes */
-    SVO_ENCODING_BLOCKS = 2    /* blocks over a value table, see svo_palette.h */
+    SVO_ENCODING_BLOCKS = 2,   /* blocks over a value table, see svo_palette.h */
+    SVO_ENCODING_LONG_BLOCKS = 3 /* blocks of any length over a value table, see svo_algorithm1.h */
 } svo_encoding;
 
 typedef struct svo_view_channel {
@@ -83,8 +84,8 @@ typedef struct svo_view_channel {
     /* BLOCKS */
     const uint8_t *table; /* table_count values of the channel's kind */
     uint64_t table_count;
-    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes a superblock, see svo_palette.h */
-    uint64_t superblock_count;
+    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes a superblock, see svo_palette.h; of long blocks SVO_ALGORITHM1_ENTRY bytes a block */
+    uint64_t superblock_count; /* long blocks: blocks */
     const uint8_t *payload;
     uint64_t payload_size;
 } svo_view_channel;
@@ -272,7 +273,7 @@ void svo_view_accelerate(svo_view *v, const svo_allocator *a);
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);
 
-/* The blocks of a channel with SVO_ENCODING_BLOCKS. */
+/* The blocks of a channel with SVO_ENCODING_BLOCKS or SVO_ENCODING_LONG_BLOCKS. */
 svo_palette svo_view_palette(const svo_view *v, uint32_t channel);
 
 /* Index of the channel with this name, SVO_MAX_CHANNELS if there is none. */

@@ -1,7 +1,7 @@
 /* The proof that a view can be traversed without checks. Rules are those of docs/format/svdag.md. */
 #include <string.h>
 
-#include "svo_palette.h"
+#include "svo_algorithm1.h"
 #include "svoi_best.h"
 #include "svoi_view.h"
 
@@ -225,8 +225,10 @@ static svo_result check_channel(validate *c, uint32_t i)
     case SVO_ENCODING_CONSTANT: return normals ? check_normals(c, i, ch->channel.value, 1) : SVO_OK;
     case SVO_ENCODING_RAW: return normals ? check_normals(c, i, ch->raw, v->attribute_count) : SVO_OK;
     case SVO_ENCODING_BLOCKS:
+    case SVO_ENCODING_LONG_BLOCKS:
         p = svo_view_palette(v, i);
-        SVO_TRY(go_on(c, svo_palette_check_all(&p, NULL, c->rules, c->err)));
+        if (ch->encoding == SVO_ENCODING_BLOCKS) SVO_TRY(go_on(c, svo_palette_check_all(&p, NULL, c->rules, c->err)));
+        else SVO_TRY(go_on(c, svo_algorithm1_check(&p, NULL, c->err)));
         return normals ? check_normals(c, i, ch->table, ch->table_count) : SVO_OK;
     }
     return bad(c, "DAG-02", i, 0, "unknown encoding of a channel");

@@ -54,6 +54,7 @@ typedef struct svoi_encoder {
 } svoi_encoder;
 
 #define SVOI_NO_INDEX UINT32_MAX
+bool svoi_table_fill(svoi_encoder *e); /* slots of the job's table; false: out of memory */
 uint32_t svoi_table_index(const svoi_encoder *e, uint32_t value); /* SVOI_NO_INDEX: not in the table */
 
 /* A chooser: looks at 1024 values, gives the map of begins, then block by block what to write. */

@@ -5,17 +5,18 @@
 #include <string.h>
 
 #include "fmt_svdag.h"
+#include "svo_algorithm1.h"
 #include "svo_scene.h"
 
 json_t *dump_view_channels(const svo_view *v, const fmt_container *c)
 {
-    static const char *const encodings[] = {"constant", "raw", "blocks"};
+    static const char *const encodings[] = {"constant", "raw", "blocks", "long blocks"};
     json_t *list = json_array();
     for (uint32_t i = 0; i < v->channel_count; i++) {
         const svo_view_channel *k = &v->channels[i];
         json_t *a = dump_channel(&k->channel);
-        cli_put_text(a, "encoding", k->encoding <= SVO_ENCODING_BLOCKS ? encodings[k->encoding] : "?");
-        if (k->encoding == SVO_ENCODING_BLOCKS) cli_put_u64(a, "table_entries", k->table_count);
+        cli_put_text(a, "encoding", k->encoding <= SVO_ENCODING_LONG_BLOCKS ? encodings[k->encoding] : "?");
+        if (k->encoding >= SVO_ENCODING_BLOCKS) cli_put_u64(a, "table_entries", k->table_count);
         uint64_t bytes = 0;
         for (uint32_t n = 0; c != NULL && n < c->chunk_count; n++) {
             uint32_t type = c->chunks[n].type;
@@ -121,10 +122,10 @@ static svo_result put_blocks(json_t *o, const svo_view *v, svo_error *err)
     json_t *list = json_array();
     json_object_set_new(o, "blocks", list);
     for (uint32_t c = 0; c < v->channel_count; c++) {
-        if (v->channels[c].encoding != SVO_ENCODING_BLOCKS) continue;
+        if (v->channels[c].encoding != SVO_ENCODING_BLOCKS && v->channels[c].encoding != SVO_ENCODING_LONG_BLOCKS) continue;
         svo_palette p = svo_view_palette(v, c);
         svo_palette_stats stats;
-        SVO_TRY(svo_palette_check(&p, &stats, err));
+        SVO_TRY(v->channels[c].encoding == SVO_ENCODING_BLOCKS ? svo_palette_check(&p, &stats, err) : svo_algorithm1_check(&p, &stats, err));
         stats.blocks[0] += stats.blocks[1]; /* one mode, whose number has a bit of the index */
         stats.values[0] += stats.values[1];
         stats.bits[0] += stats.bits[1];

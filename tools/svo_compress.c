@@ -8,15 +8,18 @@
 #include "fmt_spill.h"
 #include "fmt_svdag.h"
 #include "fmt_svo.h"
+#include "svo_algorithm1.h"
 #include "svo_dag.h"
 
 enum { GEOMETRY_FAST = 1 };
 static const char *const geometry_names[] = {"svdag", "fast", "symmetric", "best", NULL};
 static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
+enum { PALETTES_BLOCKS = 0, PALETTES_ALGORITHM1 = 1 };
+static const char *const palette_names[] = {"blocks", "algorithm1", NULL};
 static const char *const lod_names[] = {"all", "none", NULL};
 
 typedef struct arguments {
-    int geometry, lod;
+    int geometry, lod, palettes;
     const char *color, *normal, *temp;
 } arguments;
 
@@ -97,9 +100,9 @@ static json_t *sections(const svo_view *v)
         const svo_view_channel *c = &v->channels[i];
         uint32_t stride = svo_channel_stride(c->channel.kind);
         if (c->encoding == SVO_ENCODING_RAW) add_section(all, "ARAW", -1, c->channel.name, v->attribute_count * stride);
-        if (c->encoding != SVO_ENCODING_BLOCKS) continue;
+        if (c->encoding != SVO_ENCODING_BLOCKS && c->encoding != SVO_ENCODING_LONG_BLOCKS) continue;
         add_section(all, "ATBL", -1, c->channel.name, c->table_count * stride);
-        add_section(all, "ADIR", -1, c->channel.name, SVO_PALETTE_ENTRY * c->superblock_count);
+        add_section(all, "ADIR", -1, c->channel.name, (c->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) * c->superblock_count);
         add_section(all, "APAY", -1, c->channel.name, c->payload_size);
     }
     return all;
@@ -161,7 +164,7 @@ static void report(run *r, double seconds)
     }
     for (uint32_t i = 0; i < v->channel_count; i++) {
         const svo_dag_channel_report *ch = &r->report.channels[i];
-        static const char *const encodings[] = {"constant", "raw", "blocks"};
+        static const char *const encodings[] = {"constant", "raw", "blocks", "long blocks"};
         json_t *o = json_object();
         cli_put_text(o, "name", ch->name);
         cli_put_text(o, "encoding", encodings[v->channels[i].encoding]);
@@ -240,6 +243,9 @@ int main(int argc, char **argv)
          .help = "Colours: as they are; at most 2^BITS (1 to 16) different ones; every one within X in CIE94; or few bytes at a mean CIE94 or a PSNR (with deltaE=X after a comma: every one within it)."},
         {.name = "normal", .kind = CLI_TEXT, .value = &args.normal, .argument = "lossless|BITS|deg=X",
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees."},
+        {.name = "palettes", .kind = CLI_CHOICE, .value = &args.palettes, .argument = "MODE", .choices = palette_names,
+         .help = "How values that vary are coded: blocks, each by what is cheapest for it, or the palettes of Algorithm 1 of Dado et al. 2016, to compare with (not within bounds; "
+                 "channels with too many different values for a table stay as they are)."},
         {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|none", .choices = lod_names,
          .help = "Attributes of inner nodes: averages of what is below, or none."},
         {.name = "temp", .kind = CLI_TEXT, .value = &args.temp, .argument = "FOLDER", .no_default = true,
@@ -258,6 +264,9 @@ int main(int argc, char **argv)
     run r = {.c = &c, .args = &args, .options = svo_default_dag_options()};
     if ((code = cli_take_quality(&c, args.color, args.normal, &r.options)) >= 0) return code;
     r.options.lod = args.lod == 0;
+    r.options.algorithm1 = args.palettes == PALETTES_ALGORITHM1;
+    if (r.options.algorithm1 && (r.options.color_delta_e > 0 || r.options.normal_degrees > 0))
+        return cli_usage(&c, "--palettes algorithm1 keeps no bounds: give --color and --normal as lossless or a number of bits");
     r.options.geometry = geometries[args.geometry];
     r.options.threads = (uint32_t)c.threads;
     r.options.memory = c.memory;

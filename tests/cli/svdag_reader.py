@@ -35,7 +35,7 @@ class Channel:
     def __init__(self, record):
         self.name = record[:16].rstrip(b"\0").decode("ascii")
         self.kind, flags, self.constant, self.encoding, zero, self.table_count = struct.unpack("<II8sIIQ", record[16:])
-        need(self.kind in STRIDE and zero == 0 and self.encoding <= 2 and flags == (self.encoding == 0), "DAG-02")
+        need(self.kind in STRIDE and zero == 0 and self.encoding <= 3 and flags == (self.encoding == 0), "DAG-02")
         self.stride = STRIDE[self.kind]
 
 
@@ -71,6 +71,13 @@ class Svdag:
                 need(len(c.table) == c.table_count * c.stride, "DAG-08")
                 c.directory = self._take(b"ADIR", number)
                 need(len(c.directory) == 12 * ((self.A + 1023) // 1024), "DAG-08")
+                c.payload = self._take(b"APAY", number)
+                c.bits = (c.table_count - 1).bit_length()
+            elif c.encoding == 3:
+                c.table = self._take(b"ATBL", number)
+                need(len(c.table) == c.table_count * c.stride, "DAG-08")
+                body = self._take(b"ADIR", number)
+                c.entries = struct.unpack("<%dQ" % (len(body) // 8), body)
                 c.payload = self._take(b"APAY", number)
                 c.bits = (c.table_count - 1).bit_length()
         need(all(c[0] == b"META" for c in self.chunks), "DAG-01")
@@ -259,6 +266,21 @@ class Svdag:
         need(n < entries, "DAG-09")
         return self._entry(c, index(8 + n * c.bits))
 
+    def long_block_value(self, c, i):
+        g, j, groups = i >> 18, i & (1 << 18) - 1, (self.A + (1 << 18) - 1) >> 18
+        first, numbers, palettes = struct.unpack_from("<QQQ", c.payload, 24 * g)
+        end = struct.unpack_from("<Q", c.payload, 24 * (g + 1))[0] if g + 1 < groups else len(c.entries)
+        begin = lambda k: c.entries[k] & (1 << 18) - 1
+        need(first < end <= len(c.entries) and begin(first) == 0, "DAG-21")
+        while end - first > 1:
+            middle = (first + end) // 2
+            first, end = (middle, end) if begin(middle) <= j else (first, middle)
+        e = c.entries[first]
+        w = e >> 18 & 15
+        need(w <= 8 and e >> 61 == 0, "DAG-21")
+        n = bits(c.payload, 8 * numbers + (e >> 22 & (1 << 21) - 1) + (j - begin(first)) * w, w)
+        return self._entry(c, bits(c.payload, 8 * palettes + ((e >> 43) + n) * c.bits, c.bits))
+
     def _entry(self, c, t):
         need(t < c.table_count, "DAG-09")
         return c.table[t * c.stride:(t + 1) * c.stride]
@@ -270,7 +292,7 @@ class Svdag:
             return c.constant[:c.stride]
         if c.encoding == 1:
             return c.raw[i * c.stride:(i + 1) * c.stride]
-        return self.block_value(c, i)
+        return self.block_value(c, i) if c.encoding == 2 else self.long_block_value(c, i)
 
 
 # bits of low, n - 1 and step, and what is taken from low, for each component of each kind

@@ -167,6 +167,25 @@ def test_color_bits(folder):
         last = e["mean"]
 
 
+def test_palettes_of_algorithm1(folder):
+    svo, want = octree(folder)
+    blocks = folder / "blocks.svdag"
+    run("svo-compress", svo, "-o", blocks, "--color", "6", "--normal", "8")
+    for options in (["--color", "6", "--normal", "8"], [], ["--lod", "none", "--geometry", "best"]):
+        out, report = compress(svo, "--palettes", "algorithm1", *options)
+        f = Svdag(out)
+        check(f.channels[channel(f, "color")].encoding == 3, [c.encoding for c in f.channels])
+        check(any(c["encoding"] == "long blocks" for c in report["output"]["channels"]), report["output"]["channels"])
+        run("svo-dump", out, "--validate")
+        if options[:1] == ["--color"]:
+            run("svo-compare", out, blocks)  # the same values as in blocks
+        else:
+            compare(f, want)
+            check(voxels(folder, out) == want, "svo-dump sees other voxels")
+    one = compress(svo, "--palettes", "algorithm1", "--threads", 1)[0].read_bytes()
+    check(compress(svo, "--palettes", "algorithm1", "--threads", 3)[0].read_bytes() == one, "threads change the bytes")
+
+
 def test_color_bound_holds(folder):
     svo, want = octree(folder)
     sizes = []
@@ -262,6 +281,7 @@ def test_exit_codes(folder):
             (1, (svo,)), (1, (svo, "-o", out, "--color", "17")), (1, (svo, "-o", out, "--color", "deltaE=0")),
             (1, (svo, "-o", out, "--color", "deltaE=nan")), (1, (svo, "-o", out, "--color", "8x")), (1, (svo, "-o", out, "--normal", "7")),
             (1, (svo, "-o", out, "--normal", "deg=")), (1, (svo, "-o", out, "--lod", "some")), (1, (svo, "-o", out, "--geometry", "x")),
+            (1, (svo, "-o", out, "--palettes", "x")), (1, (svo, "-o", out, "--palettes", "algorithm1", "--color", "deltaE=2")),
             (1, (svo, "-o", svo)), (2, (folder / "none.svo", "-o", out)), (2, (svo, "-o", folder / "no/x.svdag")),
             (3, (folder / "cube.glb", "-o", out)),
             (6, (svo, "-o", out, "--memory", "20K"))):

@@ -269,7 +269,8 @@ class Seeds:
         self.keep("svo", "chunks.svo")
         for name in svos:
             for tag, options in (("lossless", []), ("lod", ["--lod", "all", "--color", "4", "--normal", "6"]), ("leaf", ["--lod", "none", "--color", "deltaE=5"]),
-                                 ("best", ["--geometry", "best", "--color", "4"]), ("plain", ["--geometry", "svdag", "--normal", "6"]), ("mirrors", ["--geometry", "symmetric", "--lod", "none"])):
+                                 ("best", ["--geometry", "best", "--color", "4"]), ("plain", ["--geometry", "svdag", "--normal", "6"]), ("mirrors", ["--geometry", "symmetric", "--lod", "none"]),
+                                 ("long", ["--palettes", "algorithm1", "--color", "6"])):
                 self.run("svo-compress", self.path(name + ".svo"), "-o", self.path("%s-%s.svdag" % (name, tag)), *options)
                 self.keep("svdag", "%s-%s.svdag" % (name, tag))
         self.run("svo-skeleton", mesh, "-o", self.path("a.skel"), "--omega", "0.5")

@@ -109,3 +109,118 @@ TEST(as_printed)
         if (test_failed()) return;
     }
 }
+
+/* --- blocks in a file -------------------------------------------------------------------------------------------- */
+
+typedef struct stream { uint32_t *v; uint64_t count; } stream;
+
+static void give(void *user, uint64_t first, uint32_t n, uint32_t *values) { memcpy(values, ((const stream *)user)->v + first, n * sizeof *values); }
+
+typedef struct coded { svo_buffer directory, payload; svo_palette p; } coded;
+
+static void encode(const stream *s, svo_channel_kind kind, const uint32_t *table, uint64_t table_count, const uint8_t *bytes, uint32_t threads, coded *c)
+{
+    svo_error err = {0};
+    svo_buffer_init(&c->directory, NULL);
+    svo_buffer_init(&c->payload, NULL);
+    svo_palette_job job = {.kind = kind, .count = s->count, .source = give, .user = (void *)(uintptr_t)s, .table = table, .table_count = table_count, .threads = threads};
+    CHECK_OK(svo_algorithm1_encode(&job, &c->directory, &c->payload, &err));
+    c->p = (svo_palette){kind, s->count, bytes, table_count, c->directory.data, c->directory.size / SVO_ALGORITHM1_ENTRY, c->payload.data, c->payload.size};
+}
+
+static void coded_free(coded *c)
+{
+    svo_buffer_free(&c->directory);
+    svo_buffer_free(&c->payload);
+}
+
+/* Runs of few values in some places, noise in others. */
+static void fill(stream *s, const uint32_t *table, uint64_t table_count, uint64_t *seed)
+{
+    uint32_t value = table[0];
+    for (uint64_t i = 0; i < s->count; i++) {
+        uint64_t local = i / 5000 % 3 == 0 ? table_count : table_count < 7 ? table_count : 7;
+        if (test_random(seed) % (1 + i / 3000 % 9) == 0) value = table[(i / 20000 + test_random(seed) % local) % table_count];
+        s->v[i] = value;
+    }
+}
+
+TEST(every_value_comes_back_around_groups)
+{
+    static const uint64_t counts[] = {1, 2, 1023, 1025, 70000, SVO_ALGORITHM1_GROUP - 1, SVO_ALGORITHM1_GROUP, SVO_ALGORITHM1_GROUP + 1, 2 * SVO_ALGORITHM1_GROUP + 4321};
+    static const uint64_t tables[] = {1, 2, 3, 255, 257, 70000};
+    static const svo_channel_kind kinds[] = {SVO_KIND_COLOR_SRGB8, SVO_KIND_ID32, SVO_KIND_ID16, SVO_KIND_NORMAL_OCT32, SVO_KIND_UNORM8};
+    uint64_t seed = 11;
+    stream s = {.v = malloc(sizeof *s.v * counts[8])};
+    uint32_t *table = malloc(sizeof *table * 70000);
+    uint8_t *bytes = malloc(4 * 70000);
+    for (size_t k = 0; k < sizeof counts / sizeof *counts * 2 && !test_failed(); k++) {
+        svo_channel_kind kind = kinds[k % 5];
+        uint64_t n = tables[(k * 5 + k / 6) % 6];
+        uint32_t stride = svo_channel_stride(kind);
+        if (stride == 1 && n > 256) n = 256;
+        if (stride == 2 && n > 65536) n = 65536;
+        for (uint64_t i = 0; i < n; i++) {
+            table[i] = (uint32_t)(i * 2654435761u) & 0xffffff; /* different ones: odd factors */
+            if (stride <= 2) table[i] = (uint32_t)i;
+            if (kind == SVO_KIND_NORMAL_OCT32) table[i] = (uint32_t)i;
+            memcpy(bytes + i * stride, &table[i], stride);
+        }
+        s.count = counts[k % 9];
+        fill(&s, table, n, &seed);
+        coded c, d;
+        svo_error err = {0};
+        encode(&s, kind, table, n, bytes, 1, &c);
+        encode(&s, kind, table, n, bytes, 3, &d);
+        CHECK(c.directory.size == d.directory.size && memcmp(c.directory.data, d.directory.data, c.directory.size) == 0);
+        CHECK(c.payload.size == d.payload.size && memcmp(c.payload.data, d.payload.data, c.payload.size) == 0);
+        svo_palette_stats stats;
+        if (svo_algorithm1_check(&c.p, &stats, &err) != SVO_OK) test_fail(__FILE__, __LINE__, "%s", err.message);
+        for (uint64_t i = 0; i < s.count && !test_failed(); i++) CHECK_U64(svo_algorithm1_value(&c.p, i), s.v[i]);
+        coded_free(&c);
+        coded_free(&d);
+    }
+    free(s.v), free(table), free(bytes);
+}
+
+/* Whatever a bit does, the blocks are refused or every value can be read. */
+TEST(damaged_long_blocks)
+{
+    enum { COUNT = 6000, TABLE = 300 };
+    uint64_t seed = 3;
+    uint32_t table[TABLE], refused = 0;
+    uint8_t bytes[TABLE * 2];
+    stream s = {.v = malloc(sizeof *s.v * COUNT), .count = COUNT};
+    for (uint32_t i = 0; i < TABLE; i++) {
+        table[i] = i;
+        memcpy(bytes + 2 * (size_t)i, &i, 2);
+    }
+    fill(&s, table, TABLE, &seed);
+    coded c;
+    svo_error err = {0};
+    encode(&s, SVO_KIND_ID16, table, TABLE, bytes, 1, &c);
+    uint64_t sum = 0;
+    for (int round = 0; round < 3000; round++) {
+        svo_buffer *b = round % 2 == 0 ? &c.directory : &c.payload;
+        uint64_t at = test_random(&seed) % (round % 4 == 1 ? 24 * 8 : 8 * b->size);
+        b->data[at / 8] ^= (uint8_t)(1u << at % 8);
+        if (svo_algorithm1_check(&c.p, NULL, &err) != SVO_OK) refused++;
+        else
+            for (uint64_t i = 0; i < COUNT; i++) sum += svo_algorithm1_value(&c.p, i);
+        b->data[at / 8] ^= (uint8_t)(1u << at % 8);
+    }
+    CHECK(refused > 1000 && sum != 0);
+    for (uint64_t cut = 0; cut < c.p.payload_size; cut++) {
+        svo_palette p = c.p;
+        p.payload_size = cut;
+        CHECK(svo_algorithm1_check(&p, NULL, &err) != SVO_OK);
+    }
+    for (uint64_t cut = 0; cut < c.p.superblock_count; cut++) {
+        svo_palette p = c.p;
+        p.superblock_count = cut;
+        CHECK(svo_algorithm1_check(&p, NULL, &err) != SVO_OK);
+    }
+    CHECK_OK(svo_algorithm1_check(&c.p, NULL, &err));
+    coded_free(&c);
+    free(s.v);
+}
