@@ -191,7 +191,8 @@ static void put_costs(const dump_job *j, const svo_view *v)
             continue;
         }
         const char *const names[] = {"blocks", "directory", "table"};
-        const uint64_t bytes[] = {k->payload_size, SVO_PALETTE_ENTRY * k->superblock_count, stride * k->table_count};
+        uint64_t entry = k->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY;
+        const uint64_t bytes[] = {k->payload_size, entry * k->superblock_count, stride * k->table_count};
         for (int i = 0; i < 3; i++) {
             snprintf(what, sizeof what, "%.16s, %s", k->channel.name, names[i]);
             add_cost(list, &count, what, bytes[i]);
