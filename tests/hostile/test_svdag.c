@@ -2,6 +2,7 @@
  * every index is in range and in order, every attribute can be decoded. */
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #include "fmt_svdag.h"
 #include "hostile.h"
@@ -10,6 +11,9 @@
 #include "svo_morton.h"
 #include "test.h"
 #include "trees.h"
+
+/* Of the processor, not of the clock on the wall: how busy the machine is says nothing about the code. */
+static double cpu_seconds(void) { return (double)clock() / CLOCKS_PER_SEC; }
 
 typedef struct walk { const svo_view *v; uint64_t voxels, last_code, last_index; bool sound; } walk;
 
@@ -122,13 +126,13 @@ static void claim(hostile_file *h, uint32_t chunk, uint64_t at, uint32_t width, 
     svo_buffer_init(&bad, NULL);
     hostile_build(h, &bad);
     svo_error err = {0};
-    double start = svo_seconds();
+    double start = cpu_seconds();
     svo_result r = read_svdag(NULL, bad.data, bad.size, counted, &err);
     *refused += r != SVO_OK;
     CHECK_MSG(r == SVO_OK || r == SVO_INVALID_DATA || r == SVO_UNSUPPORTED || r == SVO_LIMIT, "chunk %u, %u bytes at %llu: %s: %s", chunk, width,
               (unsigned long long)at, svo_result_name(r), err.message);
-    CHECK_MSG(svo_seconds() - start < 5 && svo_limit_in_use(limit) == 0, "chunk %u, %u bytes at %llu: %g s, %llu bytes left", chunk, width, (unsigned long long)at,
-              svo_seconds() - start, (unsigned long long)svo_limit_in_use(limit));
+    CHECK_MSG(cpu_seconds() - start < 5 && svo_limit_in_use(limit) == 0, "chunk %u, %u bytes at %llu: %g s, %llu bytes left", chunk, width, (unsigned long long)at,
+              cpu_seconds() - start, (unsigned long long)svo_limit_in_use(limit));
     svo_buffer_free(&bad);
     if (width == 0) c->chunk.element_count = before;
     else memcpy(c->payload.data + at, kept, width);

@@ -3,12 +3,16 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #include "fmt_scene.h"
 #include "packer.h"
 #include "svo_morton.h"
 #include "svo_pack.h"
 #include "test.h"
+
+/* Of the processor, not of the clock on the wall: how busy the machine is says nothing about the code. */
+static double cpu_seconds(void) { return (double)clock() / CLOCKS_PER_SEC; }
 
 static svo_error err;
 
@@ -86,10 +90,10 @@ TEST(grid_bounds_take_time_by_stored_nodes)
     }
     bool any;
     uint32_t low[3], high[3];
-    double start = svo_seconds();
+    double start = cpu_seconds();
     CHECK_OK(svo_view_grid_bounds(&v, NULL, &any, low, high, &err));
     CHECK(any && low[0] == 1 && high[0] == 1 && low[1] == 0 && high[1] == (1u << 21) - 1 && low[2] == 0 && high[2] == (1u << 21) - 1);
-    CHECK(svo_seconds() - start < 1);
+    CHECK(cpu_seconds() - start < 1);
 }
 
 TEST(box_transform_holds_every_point)
