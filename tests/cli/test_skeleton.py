@@ -521,6 +521,126 @@ def test_segments_of_real_models(folder):
         check(not closed or pieces == [1] * len(pieces), (model, pieces))
 
 
+class Skel:
+    """A .skel as docs/format/skel.md describes it, read without the library."""
+
+    def __init__(self, path):
+        data = path.read_bytes()
+        check(data[:8] == b"\x89SVX\r\n\x1a\n", "signature")
+        table, count, size = struct.unpack_from("<QQQ", data, len(data) - 64)
+        check(size == len(data), (size, len(data)))
+        self.chunk = {}
+        for i in range(count):
+            at, kind, _, codec, stored, decoded = struct.unpack_from("<Q4sHHQQ", data, table + 64 + 64 * i)
+            if codec == 0:
+                check(stored == decoded, kind)
+                self.chunk[kind.decode()] = data[at + 64:at + 64 + stored]
+        head = self.chunk["HEAD"]
+        self.omega, = struct.unpack_from("<d", head, 8)
+        self.centre, (self.unit,) = struct.unpack_from("<3d", head, 24), struct.unpack_from("<d", head, 48)
+        self.counts = struct.unpack_from("<5I", head, 144)
+        self.joints = [struct.unpack_from("<4dI", self.chunk["JOIN"], i) for i in range(0, len(self.chunk["JOIN"]), 40)]
+        self.bones = [struct.unpack_from("<2I", self.chunk["BONE"], i) for i in range(0, len(self.chunk["BONE"]), 8)]
+
+
+def solid_angle(a, b, c, p):
+    a, b, c = ([x[k] - p[k] for k in range(3)] for x in (a, b, c))
+    la, lb, lc = (math.hypot(*x) for x in (a, b, c))
+    det = sum(a[k] * (b[k - 2] * c[k - 1] - b[k - 1] * c[k - 2]) for k in range(3))
+    dot = lambda x, y: x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+    return 2 * math.atan2(det, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
+
+
+def triangle_distance(p, a, b, c):
+    """By the definition: the foot of the perpendicular where it is inside, else the nearest point of a side."""
+    sub = lambda x, y: [x[k] - y[k] for k in range(3)]
+    dot = lambda x, y: x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+    u, v, w = sub(b, a), sub(c, a), sub(p, a)
+    uu, uv, vv, wu, wv = dot(u, u), dot(u, v), dot(v, v), dot(w, u), dot(w, v)
+    det = uu * vv - uv * uv
+    if det > 0:
+        s, t = (wu * vv - wv * uv) / det, (wv * uu - wu * uv) / det
+        if s >= 0 and t >= 0 and s + t <= 1:
+            return math.hypot(*(w[k] - s * u[k] - t * v[k] for k in range(3)))
+    best = math.inf
+    for x, y in ((a, b), (b, c), (c, a)):
+        d = sub(y, x)
+        n = dot(d, d)
+        t = min(1, max(0, dot(sub(p, x), d) / n)) if n > 0 else 0
+        best = min(best, math.dist(p, [x[k] + t * d[k] for k in range(3)]))
+    return best
+
+
+def test_figures_of_the_report_by_another_way(folder):
+    """Graph, inside, inscribed balls: from the .skel and the .obj alone, by brute force (all triangles for every sample)."""
+    tube_obj(folder / "tube.obj", length=3.0, radius=0.3, n=30, m=12)
+    run("svo-skeleton", folder / "tube.obj", "-o", folder / "s.skel", "-f", "--omega", 0.03, "--report", folder / "r.json")
+    r, s = support.report(folder / "r.json"), Skel(folder / "s.skel")
+    points, faces = [], []
+    for line in (folder / "tube.obj").read_text().splitlines():
+        w = line.split()
+        if w and w[0] == "v":
+            points.append(tuple(map(float, w[1:4])))
+        elif w and w[0] == "f":
+            faces.append([int(x.split("/")[0]) - 1 for x in w[1:4]])
+    out, degree, parent = r["output"], [0] * len(s.joints), list(range(len(s.joints)))
+
+    def root(i):
+        while parent[i] != i:
+            i = parent[i]
+        return i
+
+    for a, b in s.bones:
+        degree[a] += 1
+        degree[b] += 1
+        parent[root(a)] = root(b)
+    parts = len({root(i) for i in range(len(parent))})
+    graph = (parts, degree.count(1), sum(d > 2 for d in degree), len(s.bones) - len(s.joints) + parts, degree.count(0))
+    check(graph == s.counts and graph[:4] == (out["components"], out["ends"], out["branches"], out["loops"]), (graph, s.counts, out))
+    check(len(s.joints) == out["joints"] and len(s.bones) == out["bones"] and abs(s.omega - 0.03) < 1e-12, out)
+    diagonal = math.dist([min(p[k] for p in points) for k in range(3)], [max(p[k] for p in points) for k in range(3)])
+    samples, inside, total = [], 0, 0
+    for a, b in s.bones:
+        p, q = s.joints[a][:3], s.joints[b][:3]
+        n = int(math.dist(p, q) / (0.016 * s.unit)) + 1
+        for i in range(n):
+            x = [p[k] + (q[k] - p[k]) * (i + 0.5) / n for k in range(3)]
+            winding = sum(solid_angle(*(points[v] for v in f), x) for f in faces) / (4 * math.pi)
+            total += math.dist(p, q) / n
+            if abs(winding) > 0.5:
+                inside += math.dist(p, q) / n
+                samples.append((x, min(triangle_distance(x, *(points[v] for v in f)) for f in faces)))
+    e = r["errors"]
+    check(abs(100 * inside / total - e["length_inside_percent"]) < 2, (inside / total, e))
+    gap = area = 0
+    for f in faces:  # triangles by their middles
+        a, b, c = (points[v] for v in f)
+        u, v = [b[k] - a[k] for k in range(3)], [c[k] - a[k] for k in range(3)]
+        w = math.hypot(*(u[k - 2] * v[k - 1] - u[k - 1] * v[k - 2] for k in range(3))) / 2
+        m = [(a[k] + b[k] + c[k]) / 3 for k in range(3)]
+        gap += w * max(0, min(math.dist(m, x) - radius for x, radius in samples))
+        area += w
+    mean = 100 * gap / area / diagonal
+    check(abs(mean - e["inscribed_balls_mean"]) < 0.3 + 0.2 * mean, (mean, e["inscribed_balls_mean"]))
+
+
+def test_voxels_of_real_models_give_the_curve_of_the_mesh(folder):
+    """Fingers and legs that nearly touch included: same ends and loops, curves within one voxel and omega / 5 of each other in the mean."""
+    for model, depth in (("A_organic/hand_closed/hand_closed.obj", 8), ("A_organic/horse/horse.ply", 8), ("A_organic/fertility/fertility.off", 8)):
+        path = support.model(model)
+        run("svo-voxelize", path, "-o", folder / "v.svo", "-f", "--depth", depth, "--attributes", "none")
+        run("svo-skeleton", path, "-o", folder / "m.skel", "-f", "--omega", 0.025, "--search", "grid", "--report", folder / "m.json")
+        run("svo-skeleton", folder / "v.svo", "-o", folder / "v.skel", "-f", "--omega", 0.025, "--search", "grid", "--report", folder / "v.json")
+        c = tool("svo-compare", folder / "m.skel", folder / "v.skel", "--report", folder / "c.json", "-f")
+        check(c.code == 7, c)
+        d, m, v = support.report(folder / "c.json")["comparison"]["skeleton"], support.report(folder / "m.json"), support.report(folder / "v.json")
+        for key in ("components", "ends", "loops"):
+            check(m["output"][key] == v["output"][key], (model, key, m["output"], v["output"]))
+        unit = m["input"]["unit"]
+        voxel = 1.2 * unit / 2**depth  # the grid is the longest side of the box, which is at most the unit times 1.15
+        check(d["curve_distance_mean"] <= voxel + 0.2 * 0.025 * unit, (model, d, unit))
+
+
 def test_exit_codes(folder):
     tube_obj(folder / "tube.obj")
     out = folder / "x.skel"

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "fmt_svo.h"
-#include "skel_build.h"
+#include "skel_shapes.h"
 #include "svo_morton.h"
 #include "test.h"
 #include "trees.h"
@@ -124,16 +124,16 @@ TEST(tube_axis_and_map)
 
 TEST(hollow_equals_solid)
 {
-    const inside_fn shape[] = {tube, ring, all};
+    const inside_fn shapes[] = {tube, ring, all};
     for (int i = 0; i < 3; i++) {
-        tree a = make(5, shape[i], false), b = make(5, shape[i], true);
+        tree a = make(5, shapes[i], false), b = make(5, shapes[i], true);
         CHECK(b.count < a.count);
         skel_options o = options(0.08);
         skel_skeleton s, t;
         CHECK_OK(build(&a, &o, &s));
         CHECK_OK(build(&b, &o, &t));
         CHECK_MSG(same_curve(&s, &t), "shape %d", i);
-        if (shape[i] == ring) CHECK_U64(s.report.loops, 1);
+        if (shapes[i] == ring) CHECK_U64(s.report.loops, 1);
         skel_skeleton_free(&s);
         skel_skeleton_free(&t);
         tree_free(&a);
@@ -215,4 +215,81 @@ TEST(out_of_memory)
         CHECK_U64(r, SVO_OUT_OF_MEMORY);
     }
     tree_free(&t);
+}
+
+/* --- the same curve from voxels as from a mesh, parts apart by less than omega ------------------------------------- */
+
+static void box(shape *s, double x0, double y0, double z0, double x1, double y1, double z1)
+{
+    uint32_t v[8];
+    for (int i = 0; i < 8; i++) v[i] = shape_point(s, i & 1 ? x1 : x0, i & 2 ? y1 : y0, i & 4 ? z1 : z0);
+    static const uint8_t side[12][3] = {{0, 2, 1}, {1, 2, 3}, {4, 5, 6}, {5, 7, 6}, {0, 1, 4}, {1, 5, 4}, {2, 6, 3}, {3, 6, 7}, {0, 4, 2}, {2, 4, 6}, {1, 3, 5}, {3, 7, 5}};
+    for (int i = 0; i < 12; i++) shape_triangle(s, v[side[i][0]], v[side[i][1]], v[side[i][2]]);
+}
+
+/* Graphs are equal and each curve is within one voxel and omega / 5 of the other in the mean. */
+static void same_as_mesh(const shape *m, inside_fn inside, uint32_t depth, double omega, uint32_t components)
+{
+    tree t = make(depth, inside, false);
+    skel_options o = options(omega);
+    skel_skeleton a, b;
+    CHECK_OK(shape_skeleton(m, &o, &a, &err));
+    CHECK_OK(build(&t, &o, &b));
+    CHECK_U64(a.report.components, components);
+    CHECK_U64(b.report.components, components);
+    CHECK_U64(b.report.quality.surface_components, a.report.quality.surface_components);
+    CHECK_U64(a.report.ends, b.report.ends);
+    CHECK_U64(a.report.loops, b.report.loops);
+    skel_distance d;
+    skel_curve_distance(&a, &b, &d);
+    double allowed = 1.0 / (1 << depth) + 0.2 * omega * a.report.unit;
+    CHECK_MSG(d.mean[0] <= allowed && d.mean[1] <= allowed, "%g and %g apart, %g allowed", d.mean[0], d.mean[1], allowed);
+    skel_skeleton_free(&a);
+    skel_skeleton_free(&b);
+    tree_free(&t);
+}
+
+/* Bars side by side, one voxel apart, which is little more than omega. */
+static bool bars(int x, int y, int z, int n)
+{
+    (void)n;
+    return x >= 2 && x < 30 && z >= 10 && z < 14 && ((y >= 10 && y < 14) || (y >= 15 && y < 19));
+}
+
+TEST(bars_one_voxel_apart)
+{
+    shape s = {0};
+    box(&s, 2 / 32.0, 10 / 32.0, 10 / 32.0, 30 / 32.0, 14 / 32.0, 14 / 32.0);
+    box(&s, 2 / 32.0, 15 / 32.0, 10 / 32.0, 30 / 32.0, 19 / 32.0, 14 / 32.0);
+    same_as_mesh(&s, bars, 5, 0.025, 2);
+    shape_free(&s);
+}
+
+/* Plates one voxel apart, less than omega or more. Their surfaces are two: sides of voxels that do not touch share no corner. */
+static bool plates(int x, int y, int z, int n)
+{
+    (void)n;
+    return x >= 4 && x < 28 && y >= 4 && y < 28 && ((z >= 10 && z < 12) || (z >= 13 && z < 15));
+}
+
+TEST(plates_nearer_than_omega_and_not)
+{
+    shape s = {0};
+    box(&s, 4 / 32.0, 4 / 32.0, 10 / 32.0, 28 / 32.0, 28 / 32.0, 12 / 32.0);
+    box(&s, 4 / 32.0, 4 / 32.0, 13 / 32.0, 28 / 32.0, 28 / 32.0, 15 / 32.0);
+    tree t = make(5, plates, false);
+    for (uint32_t parts = 1; parts <= 2; parts++) {
+        skel_options o = options(parts == 1 ? 0.1 : 0.03);
+        skel_skeleton a, b;
+        CHECK_OK(shape_skeleton(&s, &o, &a, &err));
+        CHECK_OK(build(&t, &o, &b));
+        CHECK_U64(a.report.quality.surface_components, 2);
+        CHECK_U64(b.report.quality.surface_components, 2);
+        CHECK_U64(a.report.components, parts);
+        CHECK_U64(b.report.components, parts);
+        skel_skeleton_free(&a);
+        skel_skeleton_free(&b);
+    }
+    tree_free(&t);
+    shape_free(&s);
 }
