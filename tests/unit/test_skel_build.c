@@ -492,6 +492,24 @@ TEST(rotation_keeps_the_topology)
     shape_free(&n);
 }
 
+/* From what makes a mesh of a hundred thousand vertices to what is larger than the model. */
+TEST(omega_from_2e_3_to_1)
+{
+    const double omega[] = {2e-3, 5e-3, 0.02, 0.1, 0.5, 1};
+    shape m = shape_tube(4, 0.05, 80, 12);
+    for (int i = 0; i < 6; i++) {
+        skel_options o = options(omega[i]);
+        if (i == 0) o.max_iterations = 3; /* it is enough to begin: every length must fit the lattice */
+        skel_skeleton s;
+        CHECK_OK(shape_skeleton(&m, &o, &s, &err));
+        CHECK_OK(skel_check(&s, &err));
+        CHECK_U64(s.report.components, 1);
+        if (i > 0) CHECK_MSG(s.report.converged && s.report.loops == 0 && s.report.ends <= 2, "omega %g: %u ends", omega[i], s.report.ends);
+        skel_skeleton_free(&s);
+    }
+    shape_free(&m);
+}
+
 /* The cap is reported, not silent; the sum criterion stops as the seed says. */
 TEST(not_converged_is_said)
 {

@@ -165,6 +165,31 @@ TEST(bones_follow_a_bend)
     }
 }
 
+/* One limb in three poses, of one length along its axis: one graph, and a curve of the same length. */
+TEST(poses)
+{
+    double first = 0;
+    for (int pose = 0; pose < 3; pose++) {
+        const double turn = pose == 0 ? 0.4 : pose == 1 ? 1.6 : 3.2;
+        shape m = bent_tube(turn, 4 / turn, 0.25, 120, 24);
+        skel_options o = skel_default_options();
+        o.omega = 0.03;
+        o.search = SKEL_SEARCH_GRID;
+        skel_skeleton s;
+        CHECK_OK(shape_skeleton(&m, &o, &s, &err));
+        CHECK(s.report.ends == 2 && s.report.branches == 0 && s.report.loops == 0 && s.report.components == 1);
+        double length = 0;
+        for (uint32_t b = 0; b < s.bone_count; b++) {
+            const double *p = s.joints[s.bones[b].a].position, *q = s.joints[s.bones[b].b].position;
+            length += sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) + (p[2] - q[2]) * (p[2] - q[2]));
+        }
+        if (pose == 0) first = length;
+        CHECK_MSG(fabs(length / first - 1) < 0.05, "%g, %g in the first pose", length, first);
+        skel_skeleton_free(&s);
+        shape_free(&m);
+    }
+}
+
 /* A bump that hardly sticks out of a ball is no branch; the ball with it stays a point or a short curve. */
 TEST(bump_on_a_ball)
 {

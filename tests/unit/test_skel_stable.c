@@ -56,11 +56,12 @@ static void turned(const char *model, double omega, const double axis[3], double
 static const double up[3] = {0, 0, 1}, side[3] = {1, 0, 0}, odd[3] = {0.3, -0.8, 0.52};
 
 TEST(rotation_by_37_degrees) { turned("A_organic/horse/horse.ply", 0.025, up, 37, 2); }
+TEST(rotation_by_37_degrees_and_a_small_omega) { turned("A_organic/horse/horse.ply", 0.0125, up, 37, 2); }
 TEST(rotation_about_the_side) { turned("A_organic/horse/horse.ply", 0.025, side, 37, 2); }
 TEST(rotation_by_an_odd_angle) { turned("A_organic/horse/horse.ply", 0.025, odd, 101.3, 2); }
 TEST(rotation_of_a_human) { turned("A_organic/human_neutral/human_neutral.obj", 0.025, odd, 37, 4); }
 
-TEST(noise_of_0_3_percent)
+static void noise(double omega, double size, double most, double most_mean)
 {
     shape s;
     if (!shape_of_model("A_organic/horse/horse.ply", &s)) {
@@ -68,19 +69,23 @@ TEST(noise_of_0_3_percent)
         return;
     }
     skel_skeleton a, b;
-    skeleton(&s, 0.025, &a);
+    skeleton(&s, omega, &a);
     uint64_t seed = 1;
     for (uint64_t i = 0; i < 3 * s.points; i++) {
         seed = seed * 6364136223846793005u + 1442695040888963407u;
-        s.p[i] += 0.003 * a.report.unit * (2 * (double)(seed >> 11) * 0x1p-53 - 1);
+        s.p[i] += size * a.report.unit * (2 * (double)(seed >> 11) * 0x1p-53 - 1);
     }
-    skeleton(&s, 0.025, &b);
+    skeleton(&s, omega, &b);
     double mean, worst = apart(&a, &b, &mean);
-    CHECK_MSG(worst <= 3 && mean <= 0.5, "%g %% Hausdorff, %g %% mean", worst, mean);
+    CHECK_MSG(worst <= most && mean <= most_mean, "%g %% Hausdorff, %g %% mean", worst, mean);
+    CHECK_U64(a.report.ends, b.report.ends);
     skel_skeleton_free(&a);
     skel_skeleton_free(&b);
     shape_free(&s);
 }
+TEST(noise_of_0_3_percent) { noise(0.025, 0.003, 3, 0.5); }
+TEST(noise_of_0_3_percent_and_a_small_omega) { noise(0.0125, 0.003, 3, 0.5); }
+TEST(noise_of_1_percent) { noise(0.025, 0.01, 4, 0.7); }
 
 /* Every triangle divided into four: the same surface with four times the triangles. */
 TEST(two_resolutions)
