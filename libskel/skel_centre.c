@@ -11,7 +11,7 @@ enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES 
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
 #define SPACE 0.5       /* of the radius: joints of a chain are at least that far apart */
 #define LONG_BONE 5.0   /* omega: straight limbs keep a joint now and then, for what is done with the bones afterwards */
-#define STICKS_OUT 1.75 /* way to the tip by the radius at the root of a branch; less is no branch */
+#define STICKS_OUT 1.6  /* way to the tip by the radius at the root of a branch; less is no branch */
 
 static double length3(const double *d) { return sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]); }
 
