@@ -101,6 +101,7 @@ static svo_result gather(svoi_selecting *s, uint64_t jobs, svo_selection *out, s
     if (seen == NULL && s->scene->instance_count != 0) return svoi_select_no_memory(err);
     for (uint64_t i = 0; i < jobs; i++) {
         const svoi_job_span *p = &s->spans[i];
+        if (p->count == 0) continue; /* (there may be no boxes at all) */
         memcpy(out->boxes + at, (const svo_selected *)(const void *)s->outputs[p->worker].boxes.data + p->first, p->count * sizeof *out->boxes);
         at += p->count;
     }
