@@ -131,9 +131,9 @@ static svo_result put_material(materials *m, const svo_material *from, json_t *l
     return put_texture(m, &from->emissive_texture, o, "emissiveTexture", err);
 }
 
-svo_result fmt_glb_materials(fmt_glb *g, const svo_mesh *mesh, svo_warnings *warnings, svo_error *err)
+svo_result fmt_glb_materials(fmt_glb *g, const svo_mesh *mesh, bool plain, svo_warnings *warnings, svo_error *err)
 {
-    if (mesh->material_count == 0) return SVO_OK;
+    if (mesh->material_count == 0 && !plain) return SVO_OK;
     materials m = {.g = g, .mesh = mesh, .images = json_array(), .samplers = json_array(), .textures = json_array()};
     json_t *list = json_array();
     const svo_allocator *a = g->bytes.allocator;
@@ -142,6 +142,11 @@ svo_result fmt_glb_materials(fmt_glb *g, const svo_mesh *mesh, svo_warnings *war
     svo_result r = m.image_of == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to store materials") : SVO_OK;
     for (uint32_t i = 0; r == SVO_OK && i < n; i++) m.image_of[i] = -1;
     for (uint32_t i = 0; r == SVO_OK && i < mesh->material_count; i++) r = put_material(&m, &mesh->materials[i], list, err);
+    if (r == SVO_OK && plain) {
+        svo_material white = svo_material_default();
+        white.double_sided = true;
+        r = put_material(&m, &white, list, err);
+    }
     svo_free(a, m.image_of, n, sizeof *m.image_of);
     json_object_set_new(g->root, "materials", list);
     struct { const char *name; json_t *list; } const all[] = {{"images", m.images}, {"samplers", m.samplers}, {"textures", m.textures}};

@@ -17,6 +17,7 @@ typedef struct skinned {
     const skel_skin *skin;
     double middle[3];
     uint64_t dropped; /* triangles with a corner that is not finite */
+    bool plain;       /* a part has no material: it takes the one after the mesh's */
     uint32_t draco;   /* bits of positions; 0: plain arrays, weights as 32-bit floats */
     fmt_draco_report report;
 } skinned;
@@ -206,7 +207,8 @@ static json_t *primitive(skinned *k, const svo_part *part, const svo_mat4 *m, ui
     for (uint32_t set = 0, n = uv_sets(k, part); set < n; set++) put_uvs(k, part, set, attributes);
     for (uint32_t set = 0; 4 * set < k->skin->influences; set++) put_influences(k, part, base, set, attributes);
     json_t *p = json_pack("{s:o,s:I}", "attributes", attributes, "indices", (json_int_t)indices);
-    if (p != NULL && part->material != SVO_NONE) json_object_set_new(p, "material", json_integer(part->material));
+    if (p != NULL) json_object_set_new(p, "material", json_integer(part->material != SVO_NONE ? part->material : k->mesh->material_count));
+    k->plain |= part->material == SVO_NONE;
     k->g.failed |= p == NULL;
     return p;
 }
@@ -382,7 +384,7 @@ svo_result fmt_export_skinned_glb(fmt_output *out, const svo_mesh *mesh, const s
     k.g.failed |= rest == NULL || json_object_update_missing(k.g.root, rest) != 0;
     json_decref(rest);
     if (draco_bits > 0) fmt_glb_extension(&k.g, "KHR_draco_mesh_compression", true);
-    if (r == SVO_OK && !k.g.failed) r = fmt_glb_materials(&k.g, mesh, warnings, err);
+    if (r == SVO_OK && !k.g.failed) r = fmt_glb_materials(&k.g, mesh, k.plain, warnings, err);
     if (r == SVO_OK) r = fmt_glb_write(&k.g, out, err);
     fmt_glb_end(&k.g);
     if (report != NULL) *report = k.report;

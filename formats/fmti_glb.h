@@ -37,8 +37,9 @@ void fmt_glb_bounds(fmt_glb *g, uint64_t accessor, const float *low, const float
 svo_result fmt_glb_write(fmt_glb *g, fmt_output *out, svo_error *err);
 void fmt_glb_end(fmt_glb *g);
 
-/* (fmt_export_materials.c) Materials as glTF has them: factors, textures with their transforms, images as PNG. */
-svo_result fmt_glb_materials(fmt_glb *g, const svo_mesh *mesh, svo_warnings *warnings, svo_error *err);
+/* (fmt_export_materials.c) Materials as glTF has them: factors, textures with their transforms, images as PNG. plain: one more, white and not metallic, for parts without
+ * material (glTF's own default is metal, which is black where nothing is around it). */
+svo_result fmt_glb_materials(fmt_glb *g, const svo_mesh *mesh, bool plain, svo_warnings *warnings, svo_error *err);
 
 json_t *fmt_glb_vector(const double *v, int n);
 void fmt_glb_put_f32(uint8_t *p, float v);
