@@ -27,43 +27,90 @@ struct ids {
     int position, normal, color;
 };
 
-int add(draco::Mesh *mesh, draco::GeometryAttribute::Type type, int8_t components, draco::DataType kind, size_t size, bool normalized)
+/* Adds an attribute of `count` values, none of them equal, which the points name by an explicit map. */
+int add(draco::Mesh *mesh, draco::GeometryAttribute::Type type, int8_t components, draco::DataType kind, size_t size, bool normalized, size_t count)
 {
     draco::GeometryAttribute a;
     a.Init(type, nullptr, components, kind, normalized, static_cast<int64_t>(size) * components, 0);
-    return mesh->AddAttribute(a, true, mesh->num_points());
+    return mesh->AddAttribute(a, false, static_cast<uint32_t>(count));
 }
 
+uint64_t position_key(const fmt_cell_face &f, uint32_t corner)
+{
+    uint32_t at[3];
+    fmt_cell_corner(&f, corner, at);
+    return static_cast<uint64_t>(at[0]) << 44 | static_cast<uint64_t>(at[1]) << 22 | at[2]; /* at most 2^21 + 1 a side */
+}
+
+uint64_t color_key(const fmt_cell_face &f)
+{
+    return static_cast<uint64_t>(f.rgb[0]) << 16 | static_cast<uint64_t>(f.rgb[1]) << 8 | f.rgb[2];
+}
+
+void unite(std::vector<uint64_t> *keys)
+{
+    std::sort(keys->begin(), keys->end());
+    keys->erase(std::unique(keys->begin(), keys->end()), keys->end());
+}
+
+uint32_t number_of(const std::vector<uint64_t> &keys, uint64_t key)
+{
+    return static_cast<uint32_t>(std::lower_bound(keys.begin(), keys.end(), key) - keys.begin());
+}
+
+/* Equal values and corners are found by sorting: Draco's own DeduplicateAttributeValues hashes whole floats so badly that a million faces
+   take minutes. */
 ids fill(draco::Mesh *mesh, const fmt_cell_face *faces, uint64_t count, bool colored)
 {
-    mesh->set_num_points(static_cast<uint32_t>(4 * count));
+    std::vector<uint64_t> positions, colors, corners(4 * count);
+    positions.reserve(4 * count);
+    for (uint64_t i = 0; i < count; i++) {
+        for (uint32_t k = 0; k < 4; k++) positions.push_back(position_key(faces[i], k));
+        if (colored && (i == 0 || color_key(faces[i]) != color_key(faces[i - 1]))) colors.push_back(color_key(faces[i]));
+    }
+    unite(&positions);
+    unite(&colors);
+    for (uint64_t i = 0; i < count; i++) { /* position 32 bits, colour 24, side 3 */
+        const fmt_cell_face &f = faces[i];
+        const uint64_t rest = (colored ? number_of(colors, color_key(f)) : 0u) * 8ull + static_cast<uint64_t>(f.axis) * 2 + (f.up ? 1 : 0);
+        for (uint32_t k = 0; k < 4; k++) corners[4 * i + k] = static_cast<uint64_t>(number_of(positions, position_key(f, k))) << 27 | rest;
+    }
+    std::vector<uint64_t> points(corners);
+    unite(&points);
+
+    mesh->set_num_points(static_cast<uint32_t>(points.size()));
     mesh->SetNumFaces(2 * count);
     ids id{};
-    id.position = add(mesh, draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32, 4, false);
-    id.normal = add(mesh, draco::GeometryAttribute::NORMAL, 3, draco::DT_FLOAT32, 4, false);
-    id.color = colored ? add(mesh, draco::GeometryAttribute::COLOR, 4, draco::DT_UINT16, 2, true) : -1;
-    for (uint64_t i = 0; i < count; i++) {
-        const fmt_cell_face &f = faces[i];
-        float normal[3] = {0, 0, 0};
-        normal[f.axis] = f.up ? 1.0f : -1.0f;
-        uint16_t color[4] = {0, 0, 0, 65535};
-        for (int k = 0; k < 3; k++) color[k] = static_cast<uint16_t>(svo_srgb_to_linear(f.rgb[k]) * 65535.0f + 0.5f);
-        for (uint32_t k = 0; k < 4; k++) {
-            uint32_t at[3];
-            fmt_cell_corner(&f, k, at);
-            const float position[3] = {static_cast<float>(at[0]), static_cast<float>(at[1]), static_cast<float>(at[2])};
-            const draco::AttributeValueIndex v(static_cast<uint32_t>(4 * i + k));
-            mesh->attribute(id.position)->SetAttributeValue(v, position);
-            mesh->attribute(id.normal)->SetAttributeValue(v, normal);
-            if (colored) mesh->attribute(id.color)->SetAttributeValue(v, color);
-        }
-        const uint32_t p = static_cast<uint32_t>(4 * i);
-        mesh->SetFace(draco::FaceIndex(static_cast<uint32_t>(2 * i)), {draco::PointIndex(p), draco::PointIndex(p + 1), draco::PointIndex(p + 2)});
-        mesh->SetFace(draco::FaceIndex(static_cast<uint32_t>(2 * i + 1)), {draco::PointIndex(p), draco::PointIndex(p + 2), draco::PointIndex(p + 3)});
+    id.position = add(mesh, draco::GeometryAttribute::POSITION, 3, draco::DT_FLOAT32, 4, false, positions.size());
+    id.normal = add(mesh, draco::GeometryAttribute::NORMAL, 3, draco::DT_FLOAT32, 4, false, 6);
+    id.color = colored ? add(mesh, draco::GeometryAttribute::COLOR, 4, draco::DT_UINT16, 2, true, colors.size()) : -1;
+    for (size_t i = 0; i < positions.size(); i++) {
+        const uint64_t p = positions[i], mask = (1u << 22) - 1;
+        const float at[3] = {static_cast<float>(p >> 44), static_cast<float>(p >> 22 & mask), static_cast<float>(p & mask)};
+        mesh->attribute(id.position)->SetAttributeValue(draco::AttributeValueIndex(static_cast<uint32_t>(i)), at);
     }
-    /* Corners that neighbours share. */
-    if (!mesh->DeduplicateAttributeValues()) svo_throw(SVO_RUNTIME, "Draco cannot join the corners of faces");
-    mesh->DeduplicatePointIds();
+    for (uint32_t i = 0; i < 6; i++) {
+        float normal[3] = {0, 0, 0};
+        normal[i / 2] = i % 2 != 0 ? 1.0f : -1.0f;
+        mesh->attribute(id.normal)->SetAttributeValue(draco::AttributeValueIndex(i), normal);
+    }
+    for (size_t i = 0; i < colors.size(); i++) {
+        uint16_t color[4] = {0, 0, 0, 65535};
+        for (int k = 0; k < 3; k++) color[k] = static_cast<uint16_t>(svo_srgb_to_linear(static_cast<uint8_t>(colors[i] >> (16 - 8 * k))) * 65535.0f + 0.5f);
+        mesh->attribute(id.color)->SetAttributeValue(draco::AttributeValueIndex(static_cast<uint32_t>(i)), color);
+    }
+    for (size_t i = 0; i < points.size(); i++) {
+        const draco::PointIndex point(static_cast<uint32_t>(i));
+        mesh->attribute(id.position)->SetPointMapEntry(point, draco::AttributeValueIndex(static_cast<uint32_t>(points[i] >> 27)));
+        mesh->attribute(id.normal)->SetPointMapEntry(point, draco::AttributeValueIndex(static_cast<uint32_t>(points[i] & 7)));
+        if (colored) mesh->attribute(id.color)->SetPointMapEntry(point, draco::AttributeValueIndex(static_cast<uint32_t>(points[i] >> 3 & 0xFFFFFF)));
+    }
+    for (uint64_t i = 0; i < count; i++) {
+        draco::PointIndex p[4];
+        for (uint32_t k = 0; k < 4; k++) p[k] = draco::PointIndex(number_of(points, corners[4 * i + k]));
+        mesh->SetFace(draco::FaceIndex(static_cast<uint32_t>(2 * i)), {p[0], p[1], p[2]});
+        mesh->SetFace(draco::FaceIndex(static_cast<uint32_t>(2 * i + 1)), {p[0], p[2], p[3]});
+    }
     return id;
 }
 
