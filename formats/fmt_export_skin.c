@@ -110,7 +110,7 @@ static uint32_t uv_sets(const skinned *k, const svo_part *part)
 static void put_uvs(skinned *k, const svo_part *part, uint32_t set, json_t *attributes)
 {
     uint64_t accessor;
-    char name[16];
+    char name[24];
     const float *uv = part->uvs[set];
     uint8_t *p = fmt_glb_array(&k->g, part->vertex_count, 8, GLB_F32, "VEC2", GLB_ARRAY_BUFFER, &accessor);
     for (uint64_t i = 0; p != NULL && uv != NULL && i < 2 * part->vertex_count; i++) fmt_glb_put_f32(p + 4 * i, isfinite(uv[i]) ? uv[i] : 0);
