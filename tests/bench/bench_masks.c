@@ -25,7 +25,7 @@ static svo_result run(const char *path, svo_error *err)
     svo_buffer_init(&packed, NULL);
     svo_buffer_init(&storage, NULL);
     svo_buffer_init(&coded, NULL);
-    double encode = 0, decode = 0, voxels = 0, bytes = 0, masks = 0;
+    double encode = 0, decode = 0, voxels = 0, bytes = 0;
     uint8_t *back = malloc(300000);
     fmti_masks_prior();
     SVO_TRY(fmt_input_open(path, &in, err));
@@ -47,7 +47,6 @@ static svo_result run(const char *path, svo_error *err)
         decode += cpu_seconds() - middle;
         if (memcmp(back, c.masks, (size_t)c.node_count) != 0) return svo_fail(err, SVO_RUNTIME, "the masks differ");
         voxels += (double)c.value_count;
-        masks += (double)c.node_count;
         bytes += (double)coded.size + 8; /* and a record */
     }
     printf("%-24s %9.3f M voxels  %7.4f bits a voxel  encode %6.2f  decode %6.2f M voxels/s a thread\n", path, voxels * 1e-6, 8 * bytes / voxels,

@@ -55,9 +55,9 @@ static void measure(const svo_channel *channel, const uint8_t *values, uint64_t 
 
 static void bench(const char *path)
 {
-    fmt_input *in;
-    fmt_svo_reader *r;
-    fmt_zstd_pool *pool;
+    fmt_input *in = NULL;
+    fmt_svo_reader *r = NULL;
+    fmt_zstd_pool *pool = NULL;
     svo_buffer packed, storage;
     svo_chunk chunk;
     sums s[SVO_MAX_CHANNELS] = {0};
