@@ -393,6 +393,7 @@ svo_result svo_render_with_planes(const svo_bvh *bvh, const svo_scene *scene, co
     }
     svo_render_stats sum = {.parent_min = INFINITY};
     for (uint32_t t = 0; t < threads; t++) r.workers[t].stats.parent_min = INFINITY;
+    if (o->progress != NULL) o->progress(o->user, 0);
     result = svo_parallel_for(threads, r.tiles, 4, render_tiles, &r, err);
     for (uint32_t t = 0; t < threads; t++) svo_render_add_stats(&sum, &r.workers[t].stats);
     if (result == SVO_OK && stats != NULL) *stats = sum;

@@ -41,7 +41,7 @@ typedef struct svo_render_options {
     bool measure;           /* verify the stop rule on every hit (costs some time) */
     uint32_t threads;       /* 0 = all */
     const svo_allocator *allocator;
-    void (*progress)(void *user, double fraction); /* called by one thread, may be NULL */
+    void (*progress)(void *user, double fraction); /* called with 0 at the start, then by one worker after some of its tiles (by none, where others draw them all); may be NULL */
     void *user;
 } svo_render_options;
 svo_render_options svo_default_render_options(void);
