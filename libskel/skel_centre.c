@@ -5,7 +5,7 @@
 
 #include "skeli_curve.h"
 
-enum { RAYS = 24, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, RELAX_FIRST = 60, RELAX_LAST = 100, RELAX_PULLED = 24 };
+enum { RAYS = SKELI_CIRCLE, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, RELAX_FIRST = 60, RELAX_LAST = 100, RELAX_PULLED = 24 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define FLAT_RAYS 2.0   /* a ray counts up to so many medians: one that runs along another limb says nothing about this one */
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
@@ -44,21 +44,13 @@ static void push_joints_inside(const skeli_surface *s, skeli_curve *c)
         if (!skeli_surface_inside(s, c->position + 3 * (uint64_t)j)) push_inside(s, c->position + 3 * (uint64_t)j);
 }
 
-static void across(const double *d, double *u, double *v)
-{
-    int least = fabs(d[0]) <= fabs(d[1]) && fabs(d[0]) <= fabs(d[2]) ? 0 : fabs(d[1]) <= fabs(d[2]) ? 1 : 2;
-    for (int k = 0; k < 3; k++) u[k] = (k == least) - d[least] * d[k];
-    unit(u);
-    for (int k = 0; k < 3; k++) v[k] = d[(k + 1) % 3] * u[(k + 2) % 3] - d[(k + 2) % 3] * u[(k + 1) % 3];
-}
-
 /* One step towards the middle of the section across d: on a circle, 2/n sum r d is exactly the way there. */
 static bool centre_step(const skeli_surface *s, const double *d, double *p)
 {
     double u[3], v[3], r[RAYS], sorted[RAYS], q[3];
-    across(d, u, v);
+    skeli_across(d, u, v);
     for (int i = 0; i < RAYS; i++) {
-        double c = cos(6.283185307179586 * i / RAYS), e = sin(6.283185307179586 * i / RAYS);
+        double c = skeli_circle[i][0], e = skeli_circle[i][1];
         const double ray[3] = {c * u[0] + e * v[0], c * u[1] + e * v[1], c * u[2] + e * v[2]};
         r[i] = skeli_surface_ray(s, p, ray, FAR);
         int k = i;
@@ -71,7 +63,7 @@ static bool centre_step(const skeli_surface *s, const double *d, double *p)
     double most = FLAT_RAYS * sorted[RAYS / 2];
     memcpy(q, p, sizeof q);
     for (int i = 0; i < RAYS; i++) {
-        double c = cos(6.283185307179586 * i / RAYS), e = sin(6.283185307179586 * i / RAYS), x = r[i] < most ? r[i] : most;
+        double c = skeli_circle[i][0], e = skeli_circle[i][1], x = r[i] < most ? r[i] : most;
         for (int k = 0; k < 3; k++) q[k] += 2.0 / RAYS * x * (c * u[k] + e * v[k]);
     }
     double way = 0;
@@ -87,12 +79,6 @@ static uint32_t other_end(const skeli_curve *c, uint32_t bone, uint32_t joint)
 {
     const uint32_t *b = c->bone + 2 * (uint64_t)bone;
     return b[0] == joint ? b[1] : b[0];
-}
-
-static double apart(const double *a, const double *b)
-{
-    const double d[3] = {b[0] - a[0], b[1] - a[1], b[2] - a[2]};
-    return length3(d);
 }
 
 /* Cosine of the turn at b on the way from a to c. */
@@ -113,8 +99,8 @@ static void centre_joint(const skeli_surface *s, const skeli_curve *c, const uin
     double *p = c->position + 3 * (uint64_t)chain[i], before[3], d[3];
     double radius = skeli_surface_distance(s, p, FAR, NULL);
     uint32_t low = i - 1, high = i + 1;
-    while (low > 0 && apart(c->position + 3 * (uint64_t)chain[low], p) < 1.5 * radius) low--;
-    while (high + 1 < n && apart(c->position + 3 * (uint64_t)chain[high], p) < 1.5 * radius) high++;
+    while (low > 0 && skeli_apart(c->position + 3 * (uint64_t)chain[low], p) < 1.5 * radius) low--;
+    while (high + 1 < n && skeli_apart(c->position + 3 * (uint64_t)chain[high], p) < 1.5 * radius) high++;
     const double *a = c->position + 3 * (uint64_t)chain[low], *b = c->position + 3 * (uint64_t)chain[high];
     for (int k = 0; k < 3; k++) d[k] = b[k] - a[k];
     if (!unit(d)) return;
@@ -150,7 +136,7 @@ static void centre_branch(const skeli_surface *s, double *p)
         if (!unit(d)) return;
         for (int k = 0; k < 3; k++) q[k] = p[k] + stride * d[k];
         double r = skeli_surface_distance(s, q, FAR, next);
-        if (r > radius && apart(q, from) <= start && skeli_surface_inside(s, q)) {
+        if (r > radius && skeli_apart(q, from) <= start && skeli_surface_inside(s, q)) {
             radius = r;
             memcpy(p, q, sizeof q);
             memcpy(near, next, sizeof next);
@@ -191,7 +177,7 @@ static svo_result centre_chains(skeli_pool *pool, const skeli_surface *s, skeli_
 /* Length of the straight way from a to b that is outside. */
 static double way_outside(const skeli_surface *s, const double *a, const double *b, double omega)
 {
-    double length = apart(a, b);
+    double length = skeli_apart(a, b);
     uint32_t pieces = (uint32_t)fmin(256, 4 * length / omega) + 2, outside = 0;
     for (uint32_t i = 0; i < pieces; i++) {
         double p[3];
@@ -219,12 +205,12 @@ static svo_result thin_chains(skeli_pool *pool, const skeli_soup *mesh, const sk
             bool drop;
             if (close) {
                 double space = fmax(omega, SPACE * radius);
-                drop = apart(a, p) < space || (apart(p, c->position + 3 * (uint64_t)chain[n - 1]) < space);
+                drop = skeli_apart(a, p) < space || (skeli_apart(p, c->position + 3 * (uint64_t)chain[n - 1]) < space);
             } else {
                 double tolerance = fmin(fmax(omega / 8, radius / 60), omega / 4), foot;
                 const double *b = c->position + 3 * (uint64_t)chain[i + 1];
                 drop = way_outside(s, a, b, omega) <= way_outside(s, a, p, omega) + way_outside(s, p, b, omega);
-                drop = drop && apart(a, b) <= fmax(LONG_BONE * omega, 3 * radius);
+                drop = drop && skeli_apart(a, b) <= fmax(LONG_BONE * omega, 3 * radius);
                 bool spike = turn(a, p, b) < 0;
                 for (uint32_t m = last + 1; m <= i && drop && !spike; m++)
                     drop = skeli_segment_distance(c->position + 3 * (uint64_t)chain[m], a, b, &foot) <= tolerance;
@@ -242,7 +228,7 @@ static svo_result thin_chains(skeli_pool *pool, const skeli_soup *mesh, const sk
             while (low > 0 && into[chain[low]] != chain[low]) low--;
             while (high + 1 < n && into[chain[high]] != chain[high]) high++;
             const double *p = c->position + 3 * (uint64_t)chain[i];
-            into[chain[i]] = apart(p, c->position + 3 * (uint64_t)chain[low]) <= apart(p, c->position + 3 * (uint64_t)chain[high]) ? chain[low] : chain[high];
+            into[chain[i]] = skeli_apart(p, c->position + 3 * (uint64_t)chain[low]) <= skeli_apart(p, c->position + 3 * (uint64_t)chain[high]) ? chain[low] : chain[high];
         }
     }
     svo_result result = skeli_curve_merge(pool, mesh, c, into, err);
@@ -258,7 +244,7 @@ static bool end_direction(const skeli_surface *s, const skeli_curve *c, const sk
     const double *p = c->position + 3 * (uint64_t)end;
     double radius = skeli_surface_distance(s, p, FAR, NULL);
     uint32_t bone = fans->bone[fans->start[end]], at = other_end(c, bone, end);
-    while (apart(c->position + 3 * (uint64_t)at, p) < radius && fans->start[at + 1] - fans->start[at] == 2) {
+    while (skeli_apart(c->position + 3 * (uint64_t)at, p) < radius && fans->start[at + 1] - fans->start[at] == 2) {
         bone = fans->bone[fans->start[at]] == bone ? fans->bone[fans->start[at] + 1] : fans->bone[fans->start[at]];
         at = other_end(c, bone, at);
     }
@@ -296,7 +282,7 @@ static svo_result divide(skeli_pool *pool, const skeli_soup *mesh, const skeli_s
     if (count == NULL || first == NULL || point == NULL) return skeli_no_memory(err);
     for (uint64_t b = 0; b < c->bones; b++) {
         const double *x = c->position + 3 * (uint64_t)c->bone[2 * b], *y = c->position + 3 * (uint64_t)c->bone[2 * b + 1];
-        double middle[3], length = apart(x, y);
+        double middle[3], length = skeli_apart(x, y);
         for (int k = 0; k < 3; k++) middle[k] = (x[k] + y[k]) / 2;
         double space = fmax(omega, SPACE * skeli_surface_distance(s, middle, FAR, NULL)), pieces = floor(length / space);
         first[b] = n;

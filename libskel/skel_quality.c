@@ -3,10 +3,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "skeli_geometry.h"
 #include "skeli_surface.h"
 #include "svo_task.h"
 
-enum { RAYS = 24, RAY_SAMPLES = 1500, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000 };
+enum { RAYS = SKELI_CIRCLE, RAY_SAMPLES = 1500, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000 };
 #define SPACING 0.004 /* units */
 
 typedef struct sample { double at[3], along[3], length, radius, off; bool inside; } sample;
@@ -19,25 +20,12 @@ typedef struct measuring {
     double *gap; /* of each vertex_step-th vertex of the mesh to the balls */
 } measuring;
 
-/* Unit vectors u, v that are perpendicular to d (unit) and to each other. */
-static void frame(const double *d, double *u, double *v)
-{
-    int least = fabs(d[0]) <= fabs(d[1]) && fabs(d[0]) <= fabs(d[2]) ? 0 : fabs(d[1]) <= fabs(d[2]) ? 1 : 2;
-    double length = 0;
-    for (int k = 0; k < 3; k++) {
-        u[k] = (k == least) - d[least] * d[k];
-        length += u[k] * u[k];
-    }
-    for (int k = 0; k < 3; k++) u[k] /= sqrt(length);
-    for (int k = 0; k < 3; k++) v[k] = d[(k + 1) % 3] * u[(k + 2) % 3] - d[(k + 2) % 3] * u[(k + 1) % 3];
-}
-
 static double off_centre(const skeli_surface *s, const sample *p)
 {
     double u[3], v[3], sum[3] = {0, 0, 0}, total = 0;
-    frame(p->along, u, v);
+    skeli_across(p->along, u, v);
     for (int i = 0; i < RAYS; i++) {
-        double c = cos(6.283185307179586 * i / RAYS), e = sin(6.283185307179586 * i / RAYS);
+        double c = skeli_circle[i][0], e = skeli_circle[i][1];
         const double d[3] = {c * u[0] + e * v[0], c * u[1] + e * v[1], c * u[2] + e * v[2]};
         double r = skeli_surface_ray(s, p->at, d, 2.0 * SKEL_LATTICE);
         for (int k = 0; k < 3; k++) sum[k] += r * d[k];

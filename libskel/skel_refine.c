@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "skeli_geometry.h"
 #include "skeli_refine.h"
 
 /* What one refinement works on; all arrays are in its own pool. */
@@ -85,7 +86,7 @@ static void find_reach(part *p)
         for (uint32_t b = 0; b < s->bone_count; b++) {
             if (p->selected[b]) continue;
             const double *x = s->joints[s->bones[b].a].position, *y = s->joints[s->bones[b].b].position;
-            double length = hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]);
+            double length = skeli_apart_far(x, y);
             for (int turn = 0; turn < 2; turn++) {
                 uint32_t from = turn ? s->bones[b].b : s->bones[b].a, to = turn ? s->bones[b].a : s->bones[b].b;
                 if (p->owner[from] == SVO_NONE || p->reach[from] > margin(p, p->owner[from]) || !(p->reach[from] + length < p->reach[to])) continue;
@@ -400,7 +401,7 @@ static svo_result part_error(part *p, const uint8_t *which, double *out, svo_err
         sum += ring[v] * fabs(best - radius);
         area += ring[v];
     }
-    double diagonal = hypot(hypot(high[0] - low[0], high[1] - low[1]), high[2] - low[2]);
+    double diagonal = skeli_apart_far(low, high);
     *out = area > 0 && diagonal > 0 ? 100 * sum / area / diagonal : 0;
     skeli_give(&p->pool, spokes.start);
     skeli_give(&p->pool, spokes.bone);

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "skeli_geometry.h"
 #include "skeli_refine.h"
 
 /* Nodes are the joints of the base, then those of the new curve. */
@@ -35,8 +36,7 @@ static const double *position(const joining *j, uint32_t node)
 
 static double apart(const joining *j, uint32_t a, uint32_t b)
 {
-    const double *x = position(j, a), *y = position(j, b);
-    return hypot(hypot(x[0] - y[0], x[1] - y[1]), x[2] - y[2]);
+    return skeli_apart_far(position(j, a), position(j, b));
 }
 
 static bool unite(joining *j, uint32_t a, uint32_t b)

@@ -1,40 +1,32 @@
 /* The curve's place in the solid. The contraction says which limbs there are and how they hang together, but where it leaves joints depends on the last bit of
- * its input. So joints move to where the curve is shortest in a space that is expensive near the surface: the sum over bones of length / d^POWER, d the
+ * its input. So joints move to where the curve is shortest in a space that is expensive near the surface: the sum over bones of length / d^4, d the
  * distance to the surface, has its minimum on ridges of d, and its three-way balance of pulls puts branches in one place whatever they came from. */
 #include <math.h>
 #include <string.h>
 
 #include "skeli_curve.h"
 
-enum { POWER = 4, DIRECTIONS = 4 };
 #define FAR (4.0 * SKEL_LATTICE)
-#define GOLDEN 2.399963229728653 /* radians: directions that never repeat find a way along a crease of d, which fixed ones do not */
+/* Each round turns by the golden angle, whose cosine and sine these are: directions that never repeat find a way along a crease of d, which fixed ones do not. */
+#define GOLDEN_COSINE (-0.7373688780783197)
+#define GOLDEN_SINE 0.6754902942615238
 #define FIRST_STEP 0.25          /* of d */
 #define LAST_STEP 0.01
 #define LARGEST_STEP 0.5
 
-static double price(double d)
-{
-    double f = 1 / d;
-    for (int k = 1; k < POWER; k++) f /= d;
-    return f;
-}
+/* 1 / d^4. Divisions and roots alone, as in all of this file: sin, pow and the like may differ in their last bits from one C library, or processor, to the next,
+ * and joints would with them. */
+static double price(double d) { return 1 / (d * d * d * d); }
 
 /* The distance that has a price. */
-static double clearance(double f) { return POWER == 2 ? sqrt(1 / f) : pow(f, -1.0 / POWER); }
-
-static double apart(const double *a, const double *b)
-{
-    double d2 = 0;
-    for (int k = 0; k < 3; k++) d2 += (b[k] - a[k]) * (b[k] - a[k]);
-    return sqrt(d2);
-}
+static double clearance(double f) { return sqrt(sqrt(1 / f)); }
 
 typedef struct relaxing {
     const skeli_surface *surface;
     const skeli_curve *curve;
     skeli_fans fans;
     double *d, *near, *price, *step; /* distance to the surface, its nearest point, price there, step / d */
+    double cosine, sine; /* of the turn of this round's directions */
 } relaxing;
 
 static uint32_t neighbour(const relaxing *r, uint32_t joint, uint32_t k)
@@ -50,7 +42,7 @@ static double pull(const relaxing *r, uint32_t joint, const double *p, double *r
     *rest = 0;
     for (uint32_t k = r->fans.start[joint]; k < r->fans.start[joint + 1]; k++) {
         uint32_t n = neighbour(r, joint, k);
-        double length = apart(p, r->curve->position + 3 * (uint64_t)n);
+        double length = skeli_apart(p, r->curve->position + 3 * (uint64_t)n);
         sum += length;
         *rest += length * r->price[n];
     }
@@ -58,7 +50,7 @@ static double pull(const relaxing *r, uint32_t joint, const double *p, double *r
 }
 
 /* Joints of chains move across it, others anywhere. A step is shorter than d, so it cannot leave the solid. */
-static bool relax_joint(relaxing *r, uint32_t j, uint32_t turn)
+static bool relax_joint(relaxing *r, uint32_t j)
 {
     double *p = r->curve->position + 3 * (uint64_t)j, u[3], v[3], w[3] = {0, 0, 0}, to[3], to_near[3], to_d = 0, rest;
     double now = pull(r, j, p, &rest) * r->price[j], best;
@@ -67,20 +59,18 @@ static bool relax_joint(relaxing *r, uint32_t j, uint32_t turn)
     uint32_t degree = r->fans.start[j + 1] - r->fans.start[j];
     const double *a = r->curve->position + 3 * (uint64_t)neighbour(r, j, r->fans.start[j]);
     const double *b = r->curve->position + 3 * (uint64_t)neighbour(r, j, r->fans.start[j] + 1);
-    double n = apart(a, b);
+    double n = skeli_apart(a, b);
     if (!(n > 0)) return false;
     for (int k = 0; k < 3; k++) w[k] = (b[k] - a[k]) / n;
-    int axis = fabs(w[0]) <= fabs(w[1]) && fabs(w[0]) <= fabs(w[2]) ? 0 : fabs(w[1]) <= fabs(w[2]) ? 1 : 2;
-    double m = sqrt(1 - w[axis] * w[axis]);
-    for (int k = 0; k < 3; k++) u[k] = ((k == axis) - w[axis] * w[k]) / m;
-    for (int k = 0; k < 3; k++) v[k] = w[(k + 1) % 3] * u[(k + 2) % 3] - w[(k + 2) % 3] * u[(k + 1) % 3];
+    skeli_across(w, u, v);
+    const double to_side[6][3] = {{r->cosine, r->sine, 0}, {-r->sine, r->cosine, 0}, {-r->cosine, -r->sine, 0}, {r->sine, -r->cosine, 0}, {0, 0, 1}, {0, 0, -1}}; /* of u, v, w */
     double step = r->step[j] * r->d[j], *near = r->near + 3 * (uint64_t)j;
-    int directions = degree == 2 ? DIRECTIONS : DIRECTIONS + 2;
+    int directions = degree == 2 ? 4 : 6;
     for (int i = 0; i < directions; i++) {
-        double q[3], angle = GOLDEN * turn + 6.283185307179586 * i / DIRECTIONS, c = cos(angle), s = sin(angle);
-        for (int k = 0; k < 3; k++) q[k] = p[k] + step * (i < DIRECTIONS ? c * u[k] + s * v[k] : (i == DIRECTIONS ? w[k] : -w[k]));
+        double q[3];
+        for (int k = 0; k < 3; k++) q[k] = p[k] + step * (to_side[i][0] * u[k] + to_side[i][1] * v[k] + to_side[i][2] * w[k]);
         /* how far the surface must be for this to pay, and how far it is at most */
-        double sum = pull(r, j, q, &rest), most = apart(q, near), next[3];
+        double sum = pull(r, j, q, &rest), most = skeli_apart(q, near), next[3];
         if (!(best > rest) || !(sum > 0)) continue;
         double least = clearance((best - rest) / sum);
         if (!(most > least)) continue;
@@ -106,7 +96,7 @@ static bool relax_joint(relaxing *r, uint32_t j, uint32_t turn)
 
 svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err)
 {
-    relaxing r = {.surface = surface, .curve = c};
+    relaxing r = {.surface = surface, .curve = c, .cosine = 1, .sine = 0};
     SVO_TRY(skeli_fans_make(pool, c, &r.fans, err));
     r.d = skeli_take(pool, c->joints, sizeof *r.d);
     r.near = skeli_take(pool, 3 * (uint64_t)c->joints, sizeof *r.near);
@@ -127,8 +117,11 @@ svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int round
                 if (round % 8 == 0) r.step[j] = 4 * LAST_STEP;
                 else continue;
             }
-            moved |= relax_joint(&r, j, (uint32_t)round);
+            moved |= relax_joint(&r, j);
         }
+        const double turned = r.cosine * GOLDEN_COSINE - r.sine * GOLDEN_SINE;
+        r.sine = r.cosine * GOLDEN_SINE + r.sine * GOLDEN_COSINE;
+        r.cosine = turned;
         if (!moved && round % 8 == 7) break;
     }
     skeli_give(pool, r.d);
@@ -152,7 +145,7 @@ static void closest_pair(const skeli_curve *c, const skeli_fans *fans, uint32_t 
             for (int e = 0; e < 2; e++) {
                 const uint32_t *b = c->bone + 2 * (uint64_t)fans->bone[e == 0 ? x : y];
                 const double *q = c->position + 3 * (uint64_t)(b[0] == joint ? b[1] : b[0]);
-                double n = apart(p, q);
+                double n = skeli_apart(p, q);
                 for (int k = 0; k < 3; k++) d[e][k] = n > 0 ? (q[k] - p[k]) / n : 0;
             }
             for (int k = 0; k < 3; k++) cosine += d[0][k] * d[1][k];
@@ -213,7 +206,7 @@ svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double
     for (uint64_t b = 0; b < c->bones; b++) {
         uint32_t x = c->bone[2 * b], y = c->bone[2 * b + 1];
         bool branches = fans.start[x + 1] - fans.start[x] > 2 && fans.start[y + 1] - fans.start[y] > 2;
-        if (!branches || apart(c->position + 3 * (uint64_t)x, c->position + 3 * (uint64_t)y) >= nearer) continue;
+        if (!branches || skeli_apart(c->position + 3 * (uint64_t)x, c->position + 3 * (uint64_t)y) >= nearer) continue;
         uint32_t p = skeli_root(into, x), q = skeli_root(into, y);
         if (p != q) into[p > q ? p : q] = p > q ? q : p;
     }

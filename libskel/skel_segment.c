@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "skeli_geometry.h"
 #include "skeli_refine.h"
 #include "skeli_segment.h"
 
@@ -176,7 +177,7 @@ static double area_of(const skel_segments *out, uint64_t t)
 static double length_of(const skel_segments *out, uint32_t side)
 {
     const double *a = out->position + 3 * (uint64_t)out->corner[side], *b = out->position + 3 * (uint64_t)out->corner[side - side % 3 + (side + 1) % 3];
-    return hypot(hypot(a[0] - b[0], a[1] - b[1]), a[2] - b[2]);
+    return skeli_apart_far(a, b);
 }
 
 /* Sums of area by piece, and each segment's piece of the largest one (the first of equal ones); pieces that are counted again get new sums. */

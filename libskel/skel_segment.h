@@ -32,7 +32,9 @@ typedef struct skel_segments {
 
 /* Segments are the chains of bones between ends and branches, in order of their lowest bones, then joints without bones. A triangle goes to the nearest of the
  * bones of its corners' joints (from its centroid). Then every piece of a segment that is not its largest goes to the segment that it has the longest
- * border with, if it touches one: so a segment has more than one piece only where the model's surface is in parts. mesh: the one the skeleton was built from. */
+ * border with, if it touches one: so a segment has more than one piece only where the model's surface is in parts. mesh: the one the skeleton was built from
+ * (SVO_INVALID_ARGUMENT where the skeleton was not built from a mesh of as many vertices). SVO_OUT_OF_MEMORY. *out is freed by skel_segments_free. One thread; about
+ * linear time. */
 svo_result skel_segments_make(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_segments *out, svo_error *err);
 void skel_segments_free(skel_segments *s);
 

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "skeli_geometry.h"
 #include "skeli_internal.h"
 
 typedef struct graph {
@@ -34,8 +35,7 @@ static svo_result make_graph(skeli_pool *pool, const skel_skeleton *s, graph *g,
     for (uint64_t j = 0; j < n; j++) g->start[j + 2] += g->start[j + 1];
     for (uint64_t i = 0; i < b; i++) {
         uint32_t x = s->bones[i].a, y = s->bones[i].b;
-        const double *p = s->joints[x].position, *q = s->joints[y].position;
-        double d = hypot(hypot(p[0] - q[0], p[1] - q[1]), p[2] - q[2]);
+        double d = skeli_apart_far(s->joints[x].position, s->joints[y].position);
         g->length[g->start[x + 1]] = g->length[g->start[y + 1]] = d;
         g->other[g->start[x + 1]++] = y;
         g->other[g->start[y + 1]++] = x;

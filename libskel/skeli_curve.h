@@ -2,6 +2,7 @@
 #ifndef SKELI_CURVE_H
 #define SKELI_CURVE_H
 
+#include "skeli_geometry.h"
 #include "skeli_surface.h"
 
 typedef struct skeli_curve {
