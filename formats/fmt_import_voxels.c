@@ -40,20 +40,6 @@ static const char *next_line(const uint8_t *data, uint64_t size, uint64_t *at, c
     return line;
 }
 
-/* Up to `most` numbers; blanks, commas and brackets are between them. Returns how many, -1 when there is something else. */
-static int numbers(const char *text, double *out, int most)
-{
-    int n = 0;
-    for (;;) {
-        text += strspn(text, " \t,()");
-        if (*text == 0) return n;
-        size_t length = strcspn(text, " \t,()");
-        if (n == most || !import_number_slow(text, text + length, false, &out[n]) || !isfinite(out[n])) return -1;
-        text += length;
-        n++;
-    }
-}
-
 static bool sizes_of(const double *v, int n, uint64_t out[3])
 {
     uint64_t cells = 1;
@@ -81,9 +67,9 @@ static svo_result read_binvox(const uint8_t *data, uint64_t size, fmt_voxels *v,
     bool begun = false;
     while (!begun && next_line(data, size, &at, line) != NULL) {
         bool good = true;
-        if (strncmp(line, "dim ", 4) == 0) good = numbers(line + 4, d, 3) == 3 && sizes_of(d, 3, dim);
-        else if (strncmp(line, "translate ", 10) == 0) good = numbers(line + 10, translate, 3) == 3;
-        else if (strncmp(line, "scale ", 6) == 0) good = numbers(line + 6, &scale, 1) == 1 && scale > 0;
+        if (strncmp(line, "dim ", 4) == 0) good = import_numbers(line + 4, d, 3) == 3 && sizes_of(d, 3, dim);
+        else if (strncmp(line, "translate ", 10) == 0) good = import_numbers(line + 10, translate, 3) == 3;
+        else if (strncmp(line, "scale ", 6) == 0) good = import_numbers(line + 6, &scale, 1) == 1 && scale > 0;
         else if (strcmp(line, "data") == 0) begun = true;
         if (!good) return svo_fail(err, SVO_INVALID_DATA, "binvox header: \"%.60s\" is wrong", line);
     }

@@ -40,19 +40,7 @@ static const char *next_line(const uint8_t *data, uint64_t size, uint64_t *at, c
     return line;
 }
 
-/* (Words are told apart without regard to case, as teem does.) Up to `most` numbers; blanks, commas and brackets are between them. Returns how many, -1 when there is something else. */
-static int numbers(const char *text, double *out, int most)
-{
-    for (int n = 0;;) {
-        text += strspn(text, " \t,()");
-        if (*text == 0) return n;
-        size_t length = strcspn(text, " \t,()");
-        if (n == most || !import_number_slow(text, text + length, false, &out[n]) || !isfinite(out[n])) return -1;
-        text += length;
-        n++;
-    }
-}
-
+/* Words are told apart without regard to case, as teem does. */
 static bool read_type(const char *t, nrrd *n)
 {
     static const struct { const char *names[8]; volume_type type; } types[] = {
@@ -73,7 +61,7 @@ static bool read_type(const char *t, nrrd *n)
 static bool read_sizes(const char *value, nrrd *n)
 {
     double v[4];
-    int count = numbers(value, v, 4);
+    int count = import_numbers(value, v, 4);
     if (n->dimension == 0 || count != n->dimension) return false;
     n->has_sizes = volume_sizes(v + (count == 4), n->s->size);
     return n->has_sizes && (count == 3 || v[0] == 4);
@@ -121,7 +109,7 @@ static svo_result read_field(const char *line, nrrd *n, svo_error *err)
     if (IS("type")) {
         good = n->has_type = read_type(value, n);
     } else if (IS("dimension")) {
-        good = numbers(value, v, 1) == 1 && (v[0] == 3 || v[0] == 4);
+        good = import_numbers(value, v, 1) == 1 && (v[0] == 3 || v[0] == 4);
         n->dimension = good ? (int)v[0] : 0;
     } else if (IS("sizes")) {
         good = read_sizes(value, n);
@@ -132,19 +120,19 @@ static svo_result read_field(const char *line, nrrd *n, svo_error *err)
         return read_encoding(value, n, err);
     } else if (IS("space directions")) {
         const char *vectors = strncmp(value, "none ", 5) == 0 ? value + 5 : value;
-        good = n->has_directions = numbers(vectors, n->directions, 9) == 9;
+        good = n->has_directions = import_numbers(vectors, n->directions, 9) == 9;
     } else if (IS("spacings") && !n->has_directions) {
         good = read_spacings(value, n);
     } else if (IS("space origin")) {
-        good = numbers(value, n->origin, 3) == 3;
+        good = import_numbers(value, n->origin, 3) == 3;
     } else if (IS("data file") || IS("datafile")) {
         if (strncmp(value, "LIST", 4) == 0 || strchr(value, '%') != NULL) return svo_fail(err, SVO_UNSUPPORTED, "NRRD data in several files are not read");
         good = value[0] != 0;
         snprintf(n->file, sizeof n->file, "%s", value);
     } else if (IS("byte skip") || IS("byteskip")) {
-        good = numbers(value, &n->skip_bytes, 1) == 1 && n->skip_bytes >= -1 && n->skip_bytes == floor(n->skip_bytes) && n->skip_bytes < 1e15;
+        good = import_numbers(value, &n->skip_bytes, 1) == 1 && n->skip_bytes >= -1 && n->skip_bytes == floor(n->skip_bytes) && n->skip_bytes < 1e15;
     } else if (IS("line skip") || IS("lineskip")) {
-        good = numbers(value, &n->skip_lines, 1) == 1 && n->skip_lines >= 0 && n->skip_lines == floor(n->skip_lines) && n->skip_lines < 1e15;
+        good = import_numbers(value, &n->skip_lines, 1) == 1 && n->skip_lines >= 0 && n->skip_lines == floor(n->skip_lines) && n->skip_lines < 1e15;
     }
 #undef IS
     return good ? SVO_OK : svo_fail(err, SVO_INVALID_DATA, "NRRD header: \"%.80s\" is wrong, or not a volume of 3 axes (4 with red, green, blue, alpha first)", line);

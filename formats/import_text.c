@@ -71,3 +71,15 @@ const char *import_word_nocase(const char *p, const char *end, const char *word)
     p += n;
     return p == end || import_space(*p) ? p : NULL;
 }
+
+int import_numbers(const char *text, double *out, int most)
+{
+    for (int n = 0;;) {
+        text += strspn(text, " \t,()");
+        if (*text == 0) return n;
+        size_t length = strcspn(text, " \t,()");
+        if (n == most || !import_number_slow(text, text + length, false, &out[n]) || !isfinite(out[n])) return -1;
+        text += length;
+        n++;
+    }
+}

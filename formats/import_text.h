@@ -12,6 +12,9 @@ extern "C" {
  * out of range goes (infinity or zero). False when it is no number. */
 bool import_number_slow(const char *begin, const char *end, bool huge, double *out);
 
+/* Up to `most` finite numbers of a terminated text; blanks, commas and brackets are between them. Returns how many, -1 when there is something else or more. */
+int import_numbers(const char *text, double *out, int most);
+
 static inline bool import_blank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
 static inline bool import_space(char c) { return import_blank(c) || c == '\n'; }
 static inline bool import_digit(char c) { return c >= '0' && c <= '9'; }
