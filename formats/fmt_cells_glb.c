@@ -1,7 +1,7 @@
 /* Faces of cells as GLB: a mesh for each set of cells, perhaps with Draco, and nodes that place them. */
 #include <string.h>
 
-#include "draco_encode.h"
+#include "draco_faces.h"
 #include "fmt_cells.h"
 #include "fmti_glb.h"
 #include "svo_channel.h"

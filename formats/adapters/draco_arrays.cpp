@@ -1,15 +1,7 @@
 /* Plain arrays to Draco bytes. */
 #include "fmti_draco.h"
 
-#if defined(__GNUC__)
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wshadow"
-#endif
-#include <draco/compression/decode.h>
-#include <draco/compression/expert_encode.h>
-#if defined(__GNUC__)
-#pragma GCC diagnostic pop
-#endif
+#include "draco_headers.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,17 +1,7 @@
 /* Draco bytes to plain arrays, for glTF's KHR_draco_mesh_compression and for .drc files. */
 #include "gltf_document.hpp"
 
-#if defined(__GNUC__)
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wshadow"
-#endif
-#include <draco/compression/decode.h>
-#include <draco/compression/point_cloud/point_cloud_decoder.h>
-#include <draco/core/varint_decoding.h>
-#include <draco/metadata/metadata_decoder.h>
-#if defined(__GNUC__)
-#pragma GCC diagnostic pop
-#endif
+#include "draco_headers.hpp"
 
 #include <algorithm>
 #include <cstring>

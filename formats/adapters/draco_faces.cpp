@@ -1,18 +1,9 @@
-#include "draco_encode.h"
+/* Faces of voxels to Draco bytes. */
+#include "draco_faces.h"
 
 #include "cxx_guard.hpp"
+#include "draco_headers.hpp"
 #include "svo_channel.h"
-
-#if defined(__GNUC__)
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wshadow"
-#endif
-#include <draco/compression/decode.h>
-#include <draco/compression/expert_encode.h>
-#include <draco/mesh/mesh.h>
-#if defined(__GNUC__)
-#pragma GCC diagnostic pop
-#endif
 
 #include <algorithm>
 #include <array>
