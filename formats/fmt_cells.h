@@ -44,7 +44,8 @@ typedef struct fmt_cells_placed {
     uint64_t count;
     double to_world[16];
 } fmt_cells_placed;
-/* Quads with their corners in the world (double) and sRGB colours. Binary little-endian PLY. */
+/* The faces of all `placed` entries of the list as quads with their corners in the world (double) and sRGB colours. Binary little-endian PLY. SVO_IO where writing
+ * fails. The list is borrowed. */
 svo_result fmt_cells_placed_ply(const fmt_cells_placed *list, uint64_t placed, bool colored, fmt_output *out, svo_error *err);
 
 /* Triangles in grid coordinates, under nodes whose matrices lead to the world; COLOR_0 linear in 16 bits; flat normals. A .glb has at most 4 GB. */
@@ -56,12 +57,15 @@ typedef struct fmt_cells_glb_report {
     double normal_error;   /* degrees */
 } fmt_cells_glb_report;
 typedef struct fmt_cells_glb fmt_cells_glb;
-/* draco: meshes by KHR_draco_mesh_compression, positions of `bits` bits (0: the fewest with an error of at most an eighth of a cell). */
+/* A model in the making, in memory until its end; freed by fmt_cells_glb_free. draco: meshes by KHR_draco_mesh_compression, positions of `bits` bits (0: the fewest with an error of at most an eighth of a cell). */
 svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a, fmt_cells_glb **out, svo_error *err);
-/* The faces of cells, whose to_world is not used, as a mesh; *mesh is its number, UINT64_MAX when there are no faces. */
+/* The faces of cells, whose to_world is not used, as a mesh; *mesh is its number, UINT64_MAX when there are no faces. SVO_LIMIT where
+ * the file would have more than 4 GB, SVO_INVALID_ARGUMENT for too few bits, SVO_RUNTIME when Draco fails, SVO_OUT_OF_MEMORY. */
 svo_result fmt_cells_glb_mesh(fmt_cells_glb *g, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err);
 /* A place for a mesh. name and id (in the node's extras) may be NULL. */
 void fmt_cells_glb_node(fmt_cells_glb *g, uint64_t mesh, const double to_world[16], const char *name, const uint64_t *id);
+/* Write the file; once. *report (may be NULL) is filled in. SVO_UNSUPPORTED without any face (a .glb cannot hold
+ * an empty mesh); SVO_OUT_OF_MEMORY also where an earlier node could not be added; SVO_IO. */
 svo_result fmt_cells_glb_end(fmt_cells_glb *g, fmt_output *out, fmt_cells_glb_report *report, svo_error *err);
 void fmt_cells_glb_free(fmt_cells_glb *g);
 
@@ -73,7 +77,7 @@ typedef struct fmt_vox_report {
 } fmt_vox_report;
 svo_result fmt_cells_vox(const fmt_cells *c, fmt_output *out, fmt_vox_report *report, svo_error *err);
 
-/* All cells of low..high, x fastest, one byte (0 or 255) or four (R G B 255, or 0 0 0 0). With a NRRD header (detached = false: "raw" has none). Memory: the
+/* All cells of low..high, x fastest, one byte (0 or 255) or four (R G B 255, or 0 0 0 0). With a NRRD header ("raw" has none). Memory: the
  * volume. */
 svo_result fmt_cells_dense(const fmt_cells *c, bool rgba, bool header, fmt_output *out, svo_error *err);
 

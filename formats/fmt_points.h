@@ -41,6 +41,8 @@ typedef struct fmt_points_survey {
 } fmt_points_survey;
 
 typedef struct fmt_points fmt_points;
+/* Map a file and read all of it once. SVO_IO; SVO_INVALID_DATA for a damaged file or a row that is none, SVO_UNSUPPORTED for a PLY whose points have lists,
+ * SVO_INVALID_ARGUMENT for columns that are not there; SVO_OUT_OF_MEMORY. *out is freed by fmt_points_close, also after an error of the second reading. */
 svo_result fmt_points_open(const char *path, const fmt_points_options *options, fmt_points **out, svo_error *err);
 const fmt_points_survey *fmt_points_seen(const fmt_points *p);
 

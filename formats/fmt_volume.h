@@ -37,11 +37,14 @@ typedef struct fmt_volume_facts {
 } fmt_volume_facts;
 
 typedef struct fmt_volume fmt_volume;
-/* `path` is for messages, and the folder of detached data, which must not lie elsewhere. The bytes are borrowed. The samples are read once for the facts. */
+/* `path` is for messages, and the folder of detached data, which must not lie elsewhere. The bytes are borrowed. The samples are read once for the facts.
+ * SVO_INVALID_DATA, SVO_UNSUPPORTED (an encoding, type or dimension that is not taken), SVO_INVALID_ARGUMENT (of `raw`), SVO_LIMIT (more than 2^21 cells a side),
+ * SVO_IO (detached data); *out is freed by fmt_volume_close. */
 svo_result fmt_volume_open(const char *path, const uint8_t *bytes, uint64_t size, const fmt_volume_options *options, fmt_volume **out, svo_error *err);
 const fmt_volume_facts *fmt_volume_about(const fmt_volume *v);
 /* Hand on the octree: 2^depth >= side. Channels that are not constant: SVO_KIND_COLOR_SRGB8 (of colours), and SVO_KIND_UNORM8 of the values, from their smallest
- * to their largest. */
+ * to their largest. One thread at a time hands on; the chunks do not depend on `threads`. Errors are those of the sink, and
+ * SVO_OUT_OF_MEMORY. */
 svo_result fmt_volume_emit(const fmt_volume *v, const svo_tree_info *info, const svo_chunk_sink *sink, svo_error *err);
 void fmt_volume_close(fmt_volume *v);
 

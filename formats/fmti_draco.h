@@ -34,7 +34,8 @@ typedef struct fmt_draco_arrays {
     bool measured; /* errors are differences between decoded and given numbers; else what the quantization allows */
 } fmt_draco_arrays;
 
-/* Append the bytes to *to (a multiple of 4 is not seen to), decode them again and measure. */
+/* Append the bytes to *to (a multiple of 4 is not seen to), decode them again and measure. Meshes that Draco's edgebreaker refuses are written sequentially.
+ * SVO_LIMIT from 2^31 vertices or triangles on; SVO_RUNTIME when Draco fails; SVO_OUT_OF_MEMORY. One thread. */
 svo_result fmt_draco_pack(fmt_draco_arrays *mesh, svo_buffer *to, svo_error *err);
 
 #ifdef __cplusplus

@@ -31,7 +31,7 @@ typedef struct svo_bones svo_bones;
 svo_result svo_bones_make(const svo_view *view, uint32_t threads, const svo_allocator *a, svo_bones **out, svo_error *err);
 void svo_bones_free(svo_bones *b);
 
-/* Of a node of the octree. */
+/* Of a node of the octree at a level (0: the root), its cell in units of that level. Valid as long as `b` is. */
 svo_bone_list svo_bones_at(const svo_bones *b, uint32_t level, const uint32_t cell[3]);
 
 /* Where the voxels of an asset are in its grid, and those that follow each bone: what bounds of posed instances are made of. */
@@ -41,7 +41,8 @@ typedef struct svo_extent {
     uint32_t bones;         /* boxes for labels 0 .. bones - 1, and one for all others and what rests; 0: bones are not told apart */
     double *box;            /* (bones + 1) * 6: low, high; infinite and negative infinite where nothing follows it */
 } svo_extent;
-/* with_bones: tell them apart, which takes a walk over all voxels; without channels of bones or with more than 2^24 voxels they are not. */
+/* with_bones: tell them apart, which takes a walk over all voxels; without channels of bones or with more than 2^24 voxels they are not. Boxes in grid
+ * coordinates. Freed by svo_extent_free; SVO_OUT_OF_MEMORY. */
 svo_result svo_extent_make(const svo_view *view, bool with_bones, const svo_allocator *a, svo_extent *out, svo_error *err);
 void svo_extent_free(svo_extent *e);
 

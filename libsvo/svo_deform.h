@@ -59,7 +59,7 @@ bool svo_deform_bounds(const svo_poses *poses, const svo_pose *pose, const svo_m
                        double high[3]);
 /* The same for an instance of a scene. */
 bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t instance, const svo_extent *extent, double low[3], double high[3]);
-/* The extents of all assets, as many as there are; bones are told apart where an instance's pose has some. */
+/* The extents of all assets, as many as there are (each freed by svo_extent_free; after an error none is left); bones are told apart where an instance's pose has some. */
 svo_result svo_scene_extents(const svo_scene *s, const svo_allocator *a, svo_extent *out, svo_error *err);
 
 /* A copy of a scene in which every instance has the pose as stated (its matrix is the one given, its bones are not used), with new bounds of the pages. The

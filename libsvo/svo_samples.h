@@ -31,7 +31,9 @@ typedef struct svo_samples_options {
 } svo_samples_options;
 
 typedef struct svo_samples svo_samples;
+/* Freed by svo_samples_free. One thread. */
 svo_result svo_samples_create(const svo_samples_options *o, svo_samples **out, svo_error *err);
+/* `count` samples, copied. SVO_LIMIT when they do not fit and there is no spill (or no room in it), SVO_IO of temporary files, SVO_OUT_OF_MEMORY. */
 svo_result svo_samples_put(svo_samples *s, const svo_sample *sample, uint64_t count, svo_error *err);
 
 typedef struct svo_samples_report {
@@ -43,7 +45,8 @@ typedef struct svo_samples_report {
 
 /* Hand on the octree; once, after the last put. Channels of info that are not constant are filled by their kind: SVO_KIND_COLOR_SRGB8 with the mean in linear
  * light, SVO_KIND_NORMAL_OCT32 with the mean direction (where opposite signs leave less than 1 % of the length, of the normals turned to one side),
- * SVO_KIND_UNORM8 with the mean value. At most one of each kind. A cell without a sample that has one is white, +Z, 0. */
+ * SVO_KIND_UNORM8 with the mean value. At most one of each kind. A cell without a sample that has one is white, +Z, 0.
+ * Errors of the sink and of temporary files; SVO_OUT_OF_MEMORY. */
 svo_result svo_samples_emit(svo_samples *s, const svo_tree_info *info, const svo_chunk_sink *sink, svo_samples_report *report, svo_error *err);
 void svo_samples_free(svo_samples *s);
 

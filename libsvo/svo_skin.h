@@ -31,7 +31,7 @@ typedef struct svo_skin_mesh {
 } svo_skin_mesh;
 
 typedef struct svo_skin svo_skin;
-/* `info` is the octree's, without the channels; room for them must be there (else SVO_LIMIT). Keeps a pointer to the arrays of `mesh`. Memory: about 50 bytes a triangle. */
+/* `info` is the octree's, without the channels; room for them must be there (else SVO_LIMIT; SVO_OUT_OF_MEMORY). Freed by svo_skin_free, after its sinks are done. Keeps a pointer to the arrays of `mesh`. Memory: about 50 bytes a triangle. */
 svo_result svo_skin_create(const svo_skin_mesh *mesh, const svo_tree_info *info, const svo_allocator *a, svo_skin **out, svo_error *err);
 void svo_skin_free(svo_skin *s);
 
@@ -45,7 +45,8 @@ svo_chunk_sink svo_skin_sink(svo_skin *s, const svo_chunk_sink *to);
 enum { SVO_SKIN_CANDIDATES = 16 };
 double svo_skin_pick(const uint16_t *bones, const double *weights, uint32_t count, uint16_t out_bone[SVO_SKIN_BONES], uint8_t out_weight[SVO_SKIN_BONES]);
 
-/* The nearest point of the mesh: its triangle and its weights at the three corners. False when there is no triangle. `near` (UINT32_MAX: none) is a triangle that is
+/* The point of the mesh that is nearest to `grid` (grid coordinates: voxels): its triangle and its barycentric weights (of sum 1) at the three corners. By any
+ * number of threads at a time. False when there is no triangle. `near` (UINT32_MAX: none) is a triangle that is
  * likely to be close. */
 bool svo_skin_nearest(const svo_skin *s, const double grid[3], uint32_t near, uint32_t *triangle, double weight[3]);
 

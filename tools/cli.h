@@ -120,6 +120,7 @@ void cli_verbose(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
 void cli_progress(cli *c, const char *what, double fraction);
 /* The same with "done of total". Shown at once when all are done. */
 void cli_progress_steps(cli *c, const char *what, uint64_t done, uint64_t total, double fraction);
+/* Is there anybody to tell? */
 bool cli_progress_wanted(const cli *c);
 /* Chunks on their way through a sink or a source, told as progress: by the part of space that is done, or by the bytes read of `bytes` (0: unknown). Without
  * progress the inner one is returned as it is. *w must outlive it. */
