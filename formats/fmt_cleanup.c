@@ -42,7 +42,7 @@ void fmt_output_remove_temporaries(void)
 
 bool fmti_temporary_name(const char *path, unsigned number, char *out, size_t size)
 {
-    int n = snprintf(out, size, "%s.part-%u", path, number);
+    int n = snprintf(out, size, "%s.svokit-part-%u", path, number);
     return n >= 0 && (size_t)n < size;
 }
 

@@ -10,7 +10,7 @@ extern "C" {
 
 /* An output. Nothing appears under `path` before fmt_output_commit; where the file system can (O_TMPFILE), nothing
  * appears anywhere, so that even kill -9 leaves no trace. Otherwise, and for the moment in which a file replaces another,
- * a temporary file PATH.part-N beside the target is used; what a killed process left of that kind, the next fmt_output_open of
+ * a temporary file PATH.svokit-part-N beside the target is used; what a killed process left of that kind, the next fmt_output_open of
  * the same path removes.
  * Writing is sequential and buffered; the offset is tracked for all sinks, pipes too. */
 typedef struct fmt_output fmt_output;

@@ -1,7 +1,7 @@
 /* Temporary files that must not outlive the process: beside an output where the file system has no O_TMPFILE (elsewhere an
  * unfinished output has no name at all), and for the moment in which one file takes the place of another.
  *
- * They are called PATH.part-0, PATH.part-1, ... Who makes one holds a lock (flock) on it, which ends with its process however that
+ * They are called PATH.svokit-part-0, PATH.svokit-part-1, ... Who makes one holds a lock (flock) on it, which ends with its process however that
  * ends: a file of such a name without a lock was left by a process that was killed. */
 #ifndef FMTI_CLEANUP_H
 #define FMTI_CLEANUP_H
@@ -14,7 +14,7 @@
 void fmti_temporary_remember(const char *path);
 void fmti_temporary_forget(const char *path);
 
-/* PATH.part-NUMBER; false: longer than size. */
+/* PATH.svokit-part-NUMBER; false: longer than size. */
 bool fmti_temporary_name(const char *path, unsigned number, char *out, size_t size);
 /* Lock a file that was just made. name: what it must still be called, or NULL. False: another process took it for a leftover. */
 bool fmti_temporary_claim(int fd, const char *name);

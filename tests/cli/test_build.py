@@ -155,19 +155,19 @@ def test_killed_while_replacing(folder):
     build(path)
     wanted = everything(folder / "out")
     killed = lambda word: dict(os.environ, LD_PRELOAD=str(shim), KILL_RENAME_OF=word)
-    for word in ("a0.svo.part", "a1.svdag.part"):
+    for word in ("a0.svo.svokit-part", "a1.svdag.svokit-part"):
         for state in (folder / "out/.svo-build").glob("*.state"):
             state.unlink()
         lines = [json.loads(l) for l in tool("svo-build", path, "-q", "--retries", 0, env=killed(word)).text.split("\n") if l]
         check("failed" in states(lines).values(), (word, lines))
-        check(len([n for n in everything(folder / "out") if ".part-" in n]) >= 1, (word, everything(folder / "out").keys()))
+        check(len([n for n in everything(folder / "out") if ".svokit-part-" in n]) >= 1, (word, everything(folder / "out").keys()))
         build(path)
         check(difference(everything(folder / "out"), wanted) == "", difference(everything(folder / "out"), wanted))
     # svo-build itself, at a state file; and what is current is tidied as well
     support.cube_obj(folder / "m0.obj", size=7)
     p = subprocess.run([str(support.tools / "svo-build"), str(path), "-q"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=killed("a0.voxelize.state"), timeout=120)
     check(p.returncode == -signal.SIGKILL, p.returncode)
-    (folder / "out/a1.svo.part-2").write_bytes(b"left")
+    (folder / "out/a1.svo.svokit-part-2").write_bytes(b"left")
     for _ in range(100): # steps of the killed run may take a moment to die
         r = tool("svo-build", path, "-q")
         if r.code != 2:

@@ -232,7 +232,7 @@ TEST(leftovers_of_killed_programs_go_with_the_next_output)
     for (int force = 0; force < 2; force++) {
         fresh();
         if (force) put(target, "old");
-        for (int i = 0; i < 8; i++) snprintf(left[i], sizeof left[i], "%s.part-%d", target, i);
+        for (int i = 0; i < 8; i++) snprintf(left[i], sizeof left[i], "%s.svokit-part-%d", target, i);
         put(left[0], "half");
         put(left[3], "half"); /* its neighbours came to their end */
         fmt_output *o = NULL;
@@ -245,12 +245,25 @@ TEST(leftovers_of_killed_programs_go_with_the_next_output)
     }
 }
 
+TEST(names_that_are_not_ours_stay)
+{
+    fresh();
+    char theirs[300];
+    snprintf(theirs, sizeof theirs, "%s.part-0", target); /* what downloads in parts are called */
+    put(theirs, "theirs");
+    fmt_output *o = NULL;
+    CHECK_OK(fmt_output_open(target, false, &o, &err));
+    CHECK_OK(fmt_output_commit(o, &err));
+    CHECK(holds(theirs, "theirs"));
+    CHECK_U64(entries(), 2);
+}
+
 TEST(files_of_others_at_work_stay)
 {
     fresh();
     char theirs[300], folder_there[300];
-    snprintf(theirs, sizeof theirs, "%s.part-0", target);
-    snprintf(folder_there, sizeof folder_there, "%s.part-1", target);
+    snprintf(theirs, sizeof theirs, "%s.svokit-part-0", target);
+    snprintf(folder_there, sizeof folder_there, "%s.svokit-part-1", target);
     put(target, "old");
     put(theirs, "theirs");
     CHECK(mkdir(folder_there, 0777) == 0);
