@@ -40,6 +40,33 @@ static bool found(const svo_rays *r, const svo_ray *ray, bool lod, int32_t state
     return true;
 }
 
+/* Number of the attribute of the node at `place`: the kernel found it as a cell of the node (or brick) at `unit`, or a block of 2x2x2 cells, and `base` is the
+ * number of that node's own attribute. */
+static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, int32_t state, const int32_t at[3], uint32_t unit, uint32_t base, const svoi_ray_place *place)
+{
+    if (r->before[unit] & 1) return base; /* a full leaf: all that is inside has its attribute */
+    const bool lod = r->view->lod;
+    const uint32_t above = (uint32_t)state - 1 - r->fraction, s = r->fraction + (above & ~1u);
+    const uint64_t mask = r->units[unit];
+    uint32_t cell = ((uint32_t)at[0] >> s & 3) | ((uint32_t)at[1] >> s & 3) << 2 | ((uint32_t)at[2] >> s & 3) << 4;
+    const bool block = above & 1;
+    if (block) cell &= 42;
+    if (above <= 1) {
+        uint64_t blocks = mask | mask >> 1;
+        blocks |= blocks >> 4;
+        blocks |= blocks >> 16;
+        uint32_t number = base + (uint32_t)__builtin_popcountll(mask & r->earlier[cell]);
+        if (lod) number += 2 - block + (uint32_t)__builtin_popcountll(blocks & 0x0000050500000505u & r->earlier[cell & 42]);
+        return number;
+    }
+    uint32_t first = cell; /* of the block: in depth-first order, its own number being the one before */
+    while (block && !(mask >> first & 1)) first += first & 1 ? first & 4 ? 16 - 5 : 3 : 1;
+    uint64_t child = (uint32_t)r->units[unit + 1], rank = (uint64_t)__builtin_popcountll(mask & (((uint64_t)1 << first) - 1));
+    uint32_t before = r->before[child + (s == r->fraction + 2 ? rank : 2 * rank)];
+    if (block && (before & 1)) return svoi_ray_attribute(r->view, cache, place); /* perhaps the block is a full leaf */
+    return base + (before >> 1) - block;
+}
+
 static void trace_one(const svo_rays *r, svoi_ray_cache *cache, const svo_ray *rays, uint32_t i, svo_hit *hits, bool *blocked)
 {
     if (hits != NULL) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
@@ -89,6 +116,7 @@ static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch
 {
     bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
     b->found = 0;
+    b->numbers = hits != NULL && r->before != NULL;
     bool start = trace_packets(r, lod, b);
     svoi_rays_trace_avx512(r, lod, start, b);
     if (hits != NULL) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
@@ -101,6 +129,7 @@ static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch
         svoi_ray_place place;
         svo_hit unused, *hit = hits != NULL ? &hits[i] : &unused;
         if (state == SVOI_RAY_DOUBT || ((hits != NULL || lod) && !found(r, &rays[i], lod, state, at, &place, hit))) trace_one(r, cache, rays, i, hits, blocked);
+        else if (b->numbers) hit->attribute = number_of(r, cache, state, at, (uint32_t)b->node_found[j], (uint32_t)b->base[j], &place);
         else if (hits != NULL) hit->attribute = svoi_ray_attribute(r->view, cache, &place);
         else blocked[i] = true;
     }

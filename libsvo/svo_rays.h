@@ -37,7 +37,7 @@ typedef struct svo_rays_report {
 } svo_rays_report;
 
 /* The view is borrowed and must outlive the result. Time and memory are linear in the stored nodes (8 bytes a brick and
- * 16 a node, each stored about as often as in the file's plain layout). report may be NULL. Fails only for want of memory. */
+ * 16 a node, half as much again where attributes are numbered; each is stored about as often as in the file's plain layout). report may be NULL. Fails only for want of memory. */
 typedef struct svo_rays svo_rays;
 svo_result svo_rays_build(const svo_view *view, const svo_rays_options *options, svo_rays **out, svo_rays_report *report, svo_error *err);
 void svo_rays_free(svo_rays *rays);

@@ -188,15 +188,6 @@ INLINE void fill(lanes *l, const svoi_ray_list *from, bool lod, __mmask16 m, uin
     l->ray = _mm512_mask_expand_epi32(l->ray, m, _mm512_loadu_si512(&from->ray[next]));
 }
 
-/* Results of lanes that have finished with something to tell. */
-INLINE void flush(const lanes *l, __mmask16 m, svoi_ray_batch *b)
-{
-    _mm512_storeu_si512(&b->found_ray[b->found], _mm512_maskz_compress_epi32(m, l->ray));
-    _mm512_storeu_si512(&b->state[b->found], _mm512_maskz_compress_epi32(m, l->state));
-    for (int k = 0; k < 3; k++) _mm512_storeu_si512(&b->at[k][b->found], _mm512_maskz_compress_epi32(m, l->q[k]));
-    b->found += (uint32_t)__builtin_popcount(m);
-}
-
 /* spread * t + offset */
 INLINE pair limit_at(const lanes *l, pair t)
 {
@@ -260,13 +251,35 @@ typedef struct group {
     pair t[3], nearest;
 } group;
 
+/* Results of lanes that have finished with something to tell. */
+INLINE void flush(const group *g, const svo_rays *r, __mmask16 m, svoi_ray_batch *b)
+{
+    const lanes *l = &g->l;
+    _mm512_storeu_si512(&b->found_ray[b->found], _mm512_maskz_compress_epi32(m, l->ray));
+    _mm512_storeu_si512(&b->state[b->found], _mm512_maskz_compress_epi32(m, l->state));
+    for (int k = 0; k < 3; k++) _mm512_storeu_si512(&b->at[k][b->found], _mm512_maskz_compress_epi32(m, l->q[k]));
+    if (b->numbers) {
+        /* of the node itself, and of those above it but the root */
+        const __mmask16 hit = _mm512_mask_cmpneq_epi32_mask(m, l->state, word(SVOI_RAY_DOUBT));
+        const __m512i zero = _mm512_setzero_si512();
+        __m512i sum = _mm512_srli_epi32(_mm512_mask_i32gather_epi32(zero, hit, l->node, r->before, 4), 1);
+        for (uint32_t k = 1; k + 1 < r->levels; k++) {
+            __mmask16 above = _mm512_mask_cmplt_epi32_mask(hit, l->s, word((int)(r->fraction + 2 * k)));
+            sum = _mm512_add_epi32(sum, _mm512_srli_epi32(_mm512_mask_i32gather_epi32(zero, above, g->stack[k], r->before, 4), 1));
+        }
+        _mm512_storeu_si512(&b->node_found[b->found], _mm512_maskz_compress_epi32(m, l->node));
+        _mm512_storeu_si512(&b->base[b->found], _mm512_maskz_compress_epi32(m, sum));
+    }
+    b->found += (uint32_t)__builtin_popcount(m);
+}
+
 /* New rays where few are left; false when there is nothing to do any more. */
 INLINE bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, bool start, uint32_t *next)
 {
     if (__builtin_popcount(g->active) > REFILL) return true;
     uint32_t rest = (start ? b->starts : b->count) - *next;
     if (rest == 0) return g->active != 0;
-    if (g->finished != 0) flush(&g->l, g->finished, b);
+    if (g->finished != 0) flush(g, r, g->finished, b);
     g->finished = 0;
     __mmask16 empty = (__mmask16)~g->active;
     uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
@@ -401,7 +414,7 @@ INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
         for (int i = 0; i < GROUPS; i++) step(&g[i], r);
     }
     for (int i = 0; i < GROUPS; i++)
-        if (g[i].finished != 0) flush(&g[i].l, g[i].finished, b);
+        if (g[i].finished != 0) flush(&g[i], r, g[i].finished, b);
 }
 
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)

@@ -16,7 +16,8 @@ typedef struct level {
     node *nodes;
     uint64_t count, capacity;
     uint32_t *children; /* numbers in the next level */
-    uint64_t child_count, child_capacity;
+    uint32_t *before;   /* of each child, see svoi_rays.h */
+    uint64_t child_count, child_capacity, before_capacity;
     uint32_t *table; /* hash of the views: number + 1 */
     uint64_t table_size;
 } level;
@@ -28,6 +29,9 @@ typedef struct builder {
     level levels[SVOI_RAYS_LEVELS];
     uint64_t *bricks; /* blocks of bricks, one after the other */
     uint64_t brick_count, brick_capacity;
+    uint32_t *brick_before;
+    uint64_t brick_before_capacity;
+    bool numbers; /* attributes are numbered, in 31 bits */
     uint32_t count; /* levels, bricks included */
 } builder;
 
@@ -79,7 +83,8 @@ static outcome grow_table(builder *b, level *l)
 static outcome number_of(builder *b, level *l, svo_view_node v, uint32_t *number)
 {
     outcome o = DONE;
-    if (v.full) v.at = 0, v.symmetry = 0;
+    if (v.full) v.at = 0, v.symmetry = 0, v.size = 0;
+    v.attribute = 0; /* numbers count from that of the node */
     if (2 * (l->count + 1) > l->table_size && (o = grow_table(b, l)) != DONE) return o;
     uint64_t slot = hash(v) & (l->table_size - 1);
     for (; l->table[slot] != 0; slot = (slot + 1) & (l->table_size - 1))
@@ -159,6 +164,8 @@ static void add_box(uint32_t low[3], uint32_t high[3], uint32_t bit, const uint3
     }
 }
 
+static uint32_t before_of(svo_view_node child) { return (uint32_t)child.attribute << 1 | child.full; }
+
 /* All distinct nodes, from the root downwards. */
 static outcome collect(builder *b)
 {
@@ -179,10 +186,12 @@ static outcome collect(builder *b)
             if (bricks) {
                 uint32_t low[3] = {16, 16, 16}, high[3] = {0, 0, 0};
                 if ((o = grow(b, (void **)&b->bricks, &b->brick_capacity, b->brick_count + count, 8)) != DONE) return o;
+                if (b->numbers && (o = grow(b, (void **)&b->brick_before, &b->brick_before_capacity, b->brick_count + count, 4)) != DONE) return o;
                 n->first_child = b->brick_count;
                 for (; rest != 0; rest &= rest - 1) {
                     uint32_t bit = (uint32_t)__builtin_ctzll(rest), inner_low[3], inner_high[3];
                     uint64_t brick = brick_mask(svo_view_brick(v, cells[bit]));
+                    if (b->numbers) b->brick_before[b->brick_count] = before_of(cells[bit]);
                     b->bricks[b->brick_count++] = brick;
                     mask_box(brick, inner_low, inner_high);
                     add_box(low, high, bit, inner_low, inner_high);
@@ -191,9 +200,13 @@ static outcome collect(builder *b)
                 continue;
             }
             if ((o = grow(b, (void **)&l->children, &l->child_capacity, l->child_count + count, sizeof *l->children)) != DONE) return o;
+            if (b->numbers && (o = grow(b, (void **)&l->before, &l->before_capacity, l->child_count + count, sizeof *l->before)) != DONE) return o;
+            n = &l->nodes[k];
             n->first_child = l->child_count;
             for (; rest != 0; rest &= rest - 1) {
-                if ((o = number_of(b, &b->levels[i + 1], cells[__builtin_ctzll(rest)], &number)) != DONE) return o;
+                svo_view_node child = cells[__builtin_ctzll(rest)];
+                if (b->numbers) l->before[l->child_count] = before_of(child);
+                if ((o = number_of(b, &b->levels[i + 1], child, &number)) != DONE) return o;
                 l->children[l->child_count++] = number;
             }
         }
@@ -251,13 +264,28 @@ static outcome lay_out(builder *b, svo_rays *r)
     if (r->units == NULL) return NO_MEMORY;
     memset(r->units + at, 0, SVOI_RAYS_PAD * 8);
     put_node(r->units, &b->levels[0].nodes[0]);
+    if (b->numbers) {
+        if (r->unit_capacity * 12 > b->limit) return TOO_LARGE;
+        r->before = svo_calloc(b->allocator, r->unit_capacity, sizeof *r->before);
+        if (r->before == NULL) return NO_MEMORY;
+        memcpy(r->before + at - b->brick_count, b->brick_before, b->brick_count * sizeof *r->before);
+    }
     at = 2;
     for (uint32_t i = 0; i + 1 < parents; i++) {
         level *l = &b->levels[i];
-        for (uint64_t c = 0; c < l->child_count; c++, at += 2) put_node(r->units + at, &b->levels[i + 1].nodes[l->children[c]]);
+        for (uint64_t c = 0; c < l->child_count; c++, at += 2) {
+            put_node(r->units + at, &b->levels[i + 1].nodes[l->children[c]]);
+            if (b->numbers) r->before[at] = l->before[c];
+        }
     }
     memcpy(r->units + at, b->bricks, b->brick_count * 8);
     return DONE;
+}
+
+static void set_order(svo_rays *r)
+{
+    for (uint32_t a = 0; a < 64; a++)
+        for (uint32_t b = 0; b < a; b++) r->earlier[cell_bit(a >> 3, a & 7)] |= (uint64_t)1 << cell_bit(b >> 3, b & 7);
 }
 
 /* Bounds of everything, for rays that pass by. */
@@ -275,6 +303,7 @@ static outcome build(builder *b, svo_rays *r)
 {
     outcome o = collect(b);
     if (o != DONE) return o;
+    set_order(r);
     if (b->count > 1) {
         fit_boxes(b);
         set_bounds(r, b->levels[0].nodes[0].box);
@@ -287,6 +316,10 @@ static outcome build(builder *b, svo_rays *r)
     if (r->units == NULL) return NO_MEMORY;
     r->units[0] = brick_mask(svo_view_brick(b->view, svo_view_root(b->view)));
     r->bricks = 1;
+    if (!b->numbers) return DONE;
+    r->before = svo_calloc(b->allocator, r->unit_capacity, sizeof *r->before);
+    if (r->before == NULL) return NO_MEMORY;
+    r->before[0] = before_of(svo_view_root(b->view));
     return DONE;
 }
 
@@ -308,22 +341,25 @@ svo_result svo_rays_build(const svo_view *view, const svo_rays_options *options,
     if (r->kernel != SVO_KERNEL_PORTABLE) {
         builder b = {.view = view, .allocator = o.allocator, .limit = o.memory != 0 ? o.memory : (uint64_t)1 << 30};
         b.count = r->levels = (view->tree_depth + 1) / 2;
+        b.numbers = !view->unnumbered && view->attribute_count >> 31 == 0;
         r->fraction = SVOI_RAYS_BITS - 2 * r->levels;
         outcome done = build(&b, r);
         for (uint32_t i = 0; i < SVOI_RAYS_LEVELS; i++) {
             level *l = &b.levels[i];
             svo_free(b.allocator, l->nodes, l->capacity, sizeof *l->nodes);
             svo_free(b.allocator, l->children, l->child_capacity, sizeof *l->children);
+            svo_free(b.allocator, l->before, l->before_capacity, sizeof *l->before);
             svo_free(b.allocator, l->table, l->table_size, sizeof *l->table);
         }
         svo_free(b.allocator, b.bricks, b.brick_capacity, 8);
+        svo_free(b.allocator, b.brick_before, b.brick_before_capacity, sizeof *b.brick_before);
         if (done == NO_MEMORY) {
             svo_rays_free(r);
             return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the form of an octree that rays traverse");
         }
         if (done == TOO_LARGE) r->kernel = SVO_KERNEL_PORTABLE, r->nodes = r->bricks = 0;
     }
-    if (report != NULL) *report = (svo_rays_report){r->kernel, r->unit_capacity * 8, r->nodes, r->bricks, svo_seconds() - start};
+    if (report != NULL) *report = (svo_rays_report){r->kernel, r->unit_capacity * (r->before != NULL ? 12 : 8), r->nodes, r->bricks, svo_seconds() - start};
     *out = r;
     return SVO_OK;
 }
@@ -332,5 +368,6 @@ void svo_rays_free(svo_rays *r)
 {
     if (r == NULL) return;
     svo_free(r->allocator, r->units, r->unit_capacity, 8);
+    svo_free(r->allocator, r->before, r->unit_capacity, sizeof *r->before);
     svo_free(r->allocator, r, 1, sizeof *r);
 }

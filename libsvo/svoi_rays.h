@@ -8,6 +8,10 @@
  * The children of a node lie side by side in the order of their bits; nodes that are equal in the file share them. The box is
  * what is inside the node, in sixteenths of its edge: six fields of 4 bits, low x y z and high x y z, both inclusive.
  *
+ * Beside it, where attributes have numbers: for each child, at its unit, the number of its attribute less that of its parent's, times 2, and 1
+ * where it is (inside) a full leaf. So the number of a hit's attribute is a sum over the nodes on the ray's stack, which only
+ * hits take.
+ *
  * Positions are fixed-point numbers: 30 bits across the root, the lower `fraction` of them inside a finest voxel. */
 #ifndef SVOI_RAYS_H
 #define SVOI_RAYS_H
@@ -35,6 +39,8 @@ struct svo_rays {
     int32_t low[3], high[3];           /* box of the root's contents, in fixed-point units */
     int32_t root_low[3], root_high[3]; /* the octree's root */
     uint64_t nodes, bricks;
+    uint64_t earlier[64]; /* by cell of a 4x4x4 node: those that come before it in depth-first order */
+    uint32_t *before;     /* of unit_capacity units, see above; NULL: not numbered, or numbers need more than 31 bits */
 };
 
 /* Rays made ready: in fixed-point units, structure of arrays. */
@@ -56,8 +62,11 @@ typedef struct svoi_ray_batch {
     uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` */
     /* What was found, in no order: number of ray; state: SVOI_RAY_DOUBT, or 1 + log2 of the edge of the node hit, in
      * fixed-point units; where the ray was then. */
+    bool numbers; /* `base` and `node_found` are wanted */
     uint32_t found;
     _Alignas(64) int32_t found_ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], state[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], at[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    /* For numbers: unit of the node (or brick) whose cell was hit, and the number of its attribute. Not set in doubt. */
+    _Alignas(64) int32_t node_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], base[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
 } svoi_ray_batch;
 enum { SVOI_RAY_DOUBT = 0x100 };
 

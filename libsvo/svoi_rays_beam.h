@@ -204,6 +204,7 @@ typedef struct frame {
     uint64_t cells; /* in the order of the rays: still to be visited */
     uint64_t mask;
     uint32_t unit, child; /* the node's, and that of its first child */
+    uint32_t base;        /* number of its attribute, where numbers are wanted */
     int32_t corner[3];
 } frame;
 
@@ -228,6 +229,7 @@ INLINE void enter_node(packet *p, frame *f, uint32_t unit, const int32_t corner[
     f->mask = node[0];
     f->child = (uint32_t)node[1];
     f->unit = unit;
+    f->base = p->b->numbers && f->unit != 0 ? f[-1].base + (p->r->before[unit] >> 1) : 0;
     memcpy(f->corner, corner, sizeof f->corner);
     f->cells = mirrored(touched(&p->y, &p->beam, corner, s) & f->mask, p->y.flip);
 }
@@ -270,9 +272,11 @@ static bool set_out(packet *p, const frame *stack, const int32_t corner[3], uint
     return after == 0;
 }
 
-/* A narrow packet's rays against the voxels of a brick, 16 with a beam of their own at a time. True if no ray is left. */
-static bool visit_brick(packet *p, uint64_t brick, const int32_t corner[3])
+/* A narrow packet's rays against the voxels of the brick at `unit`, `above` being the number of its parent's attribute, 16 with a beam of their own at a time. True if no ray is left. */
+static bool visit_brick(packet *p, uint32_t unit, uint32_t above, const int32_t corner[3])
 {
+    const uint64_t brick = p->r->units[unit];
+    const uint32_t base = p->b->numbers ? above + (p->r->before[unit] >> 1) : 0;
     const uint32_t s = p->r->fraction;
     svoi_ray_batch *b = p->b;
     uint32_t before = 0, after = 0;
@@ -295,7 +299,7 @@ static bool visit_brick(packet *p, uint64_t brick, const int32_t corner[3])
             }
             uint32_t hits = wide_less(in, out) & wide_at_most(in, wide_load(&b->in.t_max[i])) & p->active[g];
             if (hits == 0) continue;
-            keep_found(b, i, hits, at, (int32_t)s + 1);
+            keep_found(b, i, hits, at, (int32_t)s + 1, (int32_t)unit, (int32_t)base);
             p->active[g] &= ~hits;
         }
         after += p->active[g] != 0;
@@ -331,7 +335,7 @@ INLINE void traverse(packet *p, bool lod)
             enter_node(p, f, child, at, s);
         } else if (s == r->fraction + 2 && p->y.width + p->y.width_slope * far <= NARROW * (double)((uint32_t)1 << r->fraction) &&
                    !(lod && (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= (double)((uint32_t)2 << r->fraction))) {
-            if (visit_brick(p, r->units[child], at)) return;
+            if (visit_brick(p, child, f->base, at)) return;
         } else if (set_out(p, stack, at, s, child)) return;
     }
 }

@@ -53,12 +53,13 @@ INLINE void keep_doubles(double *to, __mmask16 m, wide x)
 }
 INLINE void keep_words(int32_t *to, __mmask16 m, __m512i x) { _mm512_storeu_si512(to, _mm512_maskz_compress_epi32(m, x)); }
 
-/* The rays `hits` of the 16 from `i` on have met a node. */
-INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, const int32_t at[3], int32_t state)
+/* The rays `hits` of the 16 from `i` on have met a cell of a node. */
+INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, const int32_t at[3], int32_t state, int32_t node, int32_t base)
 {
     keep_words(&b->found_ray[b->found], (__mmask16)hits, _mm512_loadu_si512(&b->in.ray[i]));
     wide_fill(&b->state[b->found], state);
     for (int k = 0; k < 3; k++) wide_fill(&b->at[k][b->found], at[k]);
+    wide_fill(&b->node_found[b->found], node), wide_fill(&b->base[b->found], base);
     b->found += (uint32_t)__builtin_popcount(hits);
 }
 
