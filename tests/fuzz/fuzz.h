@@ -1,4 +1,4 @@
-/* What a fuzz target is: how to read bytes and use all that was read. The same source is linked with libFuzzer
+/* What a fuzz target is: how to read bytes and use all that was read. The same source is linked with libFuzzer or AFL++
  * (SVO_BUILD_FUZZERS) and with fuzz_replay.c, which runs stored files through it in every build. */
 #ifndef FUZZ_H
 #define FUZZ_H
@@ -27,5 +27,7 @@ svo_result fuzz_verdict(svo_error *err);
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 size_t LLVMFuzzerCustomMutator(uint8_t *data, size_t size, size_t max_size, unsigned int seed);
 size_t LLVMFuzzerMutate(uint8_t *data, size_t size, size_t max_size);
+/* Where LLVMFuzzerMutate is ours (fuzz_havoc.c): what follows depends on the seed alone. */
+void fuzz_havoc_seed(uint64_t seed);
 
 #endif

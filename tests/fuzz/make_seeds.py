@@ -153,6 +153,32 @@ def gltf_instances():
         "bufferViews": [{"buffer": 0, "byteLength": 48}], "buffers": [{"byteLength": 48, "uri": uri}]}, separators=(",", ":")).encode()
 
 
+def gltf_rig(kinds):
+    """A skin of two joints and an animation with a channel of each kind of interpolation."""
+    data, views, accessors = b"", [], []
+    def put(values, code, width, kind, component):
+        nonlocal data
+        body = b"".join(struct.pack("<%d%s" % (width, code), *(v if width > 1 else (v,))) for v in values)
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": len(body)})
+        accessors.append({"bufferView": len(views) - 1, "componentType": component, "count": len(values), "type": kind})
+        data += body + bytes(-len(body) % 4)
+        return len(accessors) - 1
+    identity = (1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1)
+    attributes = {"POSITION": put(POINTS, "f", 3, "VEC3", 5126), "JOINTS_0": put([(0, 1, 0, 0)] * 4, "B", 4, "VEC4", 5121),
+                  "WEIGHTS_0": put([(0.75, 0.25, 0, 0)] * 4, "f", 4, "VEC4", 5126)}
+    inverse = put([identity, identity[:12] + (0, -1, 0, 1)], "f", 16, "MAT4", 5126)
+    times = put((0, 0.5, 2), "f", 1, "SCALAR", 5126)
+    moves, turns = put(POINTS[:3], "f", 3, "VEC3", 5126), put([(0, 0, 0, 1), (0, 0.6, 0, 0.8), (1, 0, 0, 0)], "f", 4, "VEC4", 5126)
+    cubic = put([(i % 3, 1, 0.5) for i in range(9)], "f", 3, "VEC3", 5126)
+    samplers = [{"input": times, "output": {"STEP": moves, "LINEAR": turns, "CUBICSPLINE": cubic}[k], "interpolation": k} for k in kinds]
+    channels = [{"sampler": i, "target": {"node": 1 + i % 2, "path": {"STEP": "translation", "LINEAR": "rotation", "CUBICSPLINE": "scale"}[k]}} for i, k in enumerate(kinds)]
+    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+    return json.dumps({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}], "skins": [{"joints": [1, 2], "inverseBindMatrices": inverse}],
+                       "nodes": [{"mesh": 0, "skin": 0}, {"children": [2]}, {"translation": [0, 1, 0]}],
+                       "meshes": [{"primitives": [{"attributes": attributes, "mode": 5}]}], "animations": [{"name": "a", "samplers": samplers, "channels": channels}],
+                       "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data), "uri": uri}]}, separators=(",", ":")).encode()
+
+
 SCENE = {"assets": [{"name": "a", "file": "a.svdag"}, {"name": "b", "file": "dir/b.svdag"}],
          "instances": [{"asset": "a", "translation": [1, 2, 3], "rotation": [0, 0.6, 0, 0.8], "scale": [1, -1, 2], "id": 7, "name": "n"},
                        {"asset": "b", "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 4, 5, 6, 1], "pose": None}, {"asset": "a", "name": "n"}],
@@ -212,6 +238,8 @@ class Seeds:
         self.put("gltf", "texture.gltf", gltf(True, "data:image/png;base64," + base64.b64encode(png(2, 8)).decode()))
         self.put("gltf", "binary.glb", gltf(False))
         self.put("gltf", "instances.gltf", gltf_instances())
+        for kinds in (("STEP", "LINEAR", "CUBICSPLINE"), ("LINEAR",)):
+            self.put("gltf", "rig%d.gltf" % len(kinds), gltf_rig(kinds))
         self.put("drc", "plain.drc", drc_plain())
         encoder = shutil.which("draco_encoder")  # of the package draco; without it Draco's compressed forms have no seed
         if encoder:

@@ -9,42 +9,6 @@
 
 enum { MOST = 1 << 20 };
 
-static uint64_t state;
-static uint32_t below(uint32_t n)
-{
-    state = state * 6364136223846793005u + 1442695040888963407u;
-    return (uint32_t)(state >> 33) % n;
-}
-
-/* In place of libFuzzer's: a bit, a byte, a value at the edge of its range, bytes taken out or put in. */
-size_t LLVMFuzzerMutate(uint8_t *data, size_t size, size_t max_size)
-{
-    static const uint64_t edges[] = {0, 1, 2, 3, 7, 8, 47, 48, 255, 256, 32768, 65535, 65536, 0x7fffffff, 0x80000000, 0xffffffff, 0x3ff0000000000000, 0x7ff0000000000000, UINT64_MAX};
-    if (size == 0) {
-        if (max_size == 0) return 0;
-        data[0] = (uint8_t)below(256);
-        return 1;
-    }
-    size_t at = below((uint32_t)size), n = (size_t)1 << below(4);
-    if (n > size - at) n = 1;
-    switch (below(8)) {
-    case 0:
-    case 1: data[at] ^= (uint8_t)(1u << below(8)); break;
-    case 2:
-    case 3: data[at] = (uint8_t)below(256); break;
-    case 4:
-    case 5: memcpy(data + at, &edges[below(sizeof edges / sizeof edges[0])], n); break;
-    case 6:
-        memmove(data + at, data + at + n, size - at - n);
-        return size - n;
-    default:
-        if (n > max_size - size) break;
-        memmove(data + at + n, data + at, size - at);
-        return size + n;
-    }
-    return size;
-}
-
 static size_t read_file(const char *path, uint8_t *to)
 {
     FILE *f = fopen(path, "rb");
@@ -74,10 +38,10 @@ int main(int argc, char **argv)
         if (size == 0 || end == NULL) return fprintf(stderr, "%s cannot be read\n", argv[i]), 2;
         for (unsigned long j = 0; j < count; j++) {
             char path[4096];
-            state = (seed * 1000003 + (uint64_t)i) * 1000003 + j;
-            for (int k = 0; k < 4; k++) below(2);
+            uint64_t own = (seed * 1000003 + (uint64_t)i) * 1000003 + j;
+            fuzz_havoc_seed(own);
             memcpy(copy, whole, size);
-            size_t n = LLVMFuzzerCustomMutator(copy, size, sizeof copy, below(UINT32_MAX));
+            size_t n = LLVMFuzzerCustomMutator(copy, size, sizeof copy, (unsigned int)(own * 0x9e3779b97f4a7c15u >> 32));
             snprintf(path, sizeof path, "%s/%d_%lu%s", argv[3], i - 4, j, end);
             if (!write_file(path, copy, n)) return fprintf(stderr, "%s cannot be written\n", path), 2;
         }
