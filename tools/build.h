@@ -22,6 +22,8 @@ typedef struct build_step {
     int64_t first_need, need_count; /* steps whose outputs it reads: [first_need, first_need + need_count); -1: none */
     build_state state;
     uint32_t tries;
+    bool alone;          /* its share of the budget was too little: it runs again with nothing beside it, and has all of the budget */
+    uint64_t peak;       /* bytes resident at most, of the last try, as the system measured it */
     int pid;
     double started;
     double expected; /* seconds: of an earlier run of it; 0: not known */
@@ -58,7 +60,7 @@ typedef struct build_options {
 } build_options;
 
 /* Run what is out of date and print one JSON line a step to stdout. Returns the exit code. */
-typedef struct build_totals { uint64_t built, current, bad_input, bad_luck, skipped, stale; } build_totals;
+typedef struct build_totals { uint64_t built, current, bad_input, bad_luck, skipped, stale, peak /* bytes resident, of one step */; } build_totals;
 svo_result build_run(cli *c, build_plan *p, const build_options *o, build_totals *totals, svo_error *err);
 
 /* Commands for another engine. */

@@ -299,7 +299,7 @@ char **build_arguments(const build_step *s, const char *tool_path, uint64_t thre
     if (s->kind == BUILD_VOXELIZE) a[n++] = text("--depfile=%s", s->depfile);
     if (bookkeeping) a[n++] = text("--report=%s", s->report);
     if (threads != 0) a[n++] = text("--threads=%llu", (unsigned long long)threads);
-    if (memory != 0 && s->kind != BUILD_PACK) a[n++] = text("--memory=%llu", (unsigned long long)memory);
+    if (memory != 0) a[n++] = text("--memory=%llu", (unsigned long long)memory);
     a[n++] = text("--");
     for (uint32_t i = 0; i < s->input_count; i++) a[n++] = text("%s", s->inputs[i]);
     for (uint32_t i = 0; i < n; i++) {

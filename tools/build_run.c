@@ -8,6 +8,7 @@
 #include <string.h>
 #include <sys/file.h>
 #include <sys/prctl.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -53,6 +54,12 @@ static json_t *read_report(const build_step *s)
     return report;
 }
 
+static uint64_t memory_of(const runner *r, const build_step *s)
+{
+    if (s->alone) return r->budget;
+    return r->budget == 0 ? s->memory : s->memory != 0 ? s->memory : r->share;
+}
+
 static void print_result(const runner *r, const build_step *s, int code, const char *why, double seconds)
 {
     json_t *o = json_object();
@@ -64,12 +71,14 @@ static void print_result(const runner *r, const build_step *s, int code, const c
     if (s->state == BUILD_BUILT || s->state == BUILD_FAILED) {
         cli_put_f64(o, "seconds", seconds);
         cli_put_u64(o, "tries", s->tries);
+        uint64_t memory = memory_of(r, s);
+        if (memory != 0) cli_put_u64(o, "memory", memory);
+        if (s->peak != 0) cli_put_u64(o, "peak_rss_bytes", s->peak);
         json_t *report = read_report(s);
         if (report != NULL && s->state == BUILD_BUILT) {
             json_t *out = json_object_get(report, "output");
             if (json_object_get(out, "bytes") != NULL) json_object_set(o, "bytes", json_object_get(out, "bytes"));
             json_object_set_new(o, "warnings", json_integer((json_int_t)json_array_size(json_object_get(report, "warnings"))));
-            json_object_set(o, "peak_rss_bytes", json_object_get(report, "peak_rss_bytes"));
         }
         json_decref(report);
     }
@@ -85,7 +94,6 @@ static void print_result(const runner *r, const build_step *s, int code, const c
     fflush(stdout);
     free(line);
     json_decref(o);
-    (void)r;
 }
 
 static bool needs_settled(const runner *r, const build_step *s, bool *failed)
@@ -105,8 +113,6 @@ static bool needs_stale(const runner *r, const build_step *s)
         if (r->p->steps[i].state == BUILD_STALE) return true;
     return false;
 }
-
-static uint64_t memory_of(const runner *r, const build_step *s) { return r->budget == 0 ? s->memory : s->memory != 0 ? s->memory : r->share; }
 
 static svo_result start(runner *r, build_step *s, svo_error *err)
 {
@@ -167,6 +173,13 @@ static void settle(runner *r, build_step *s, int code)
         else snprintf(why, sizeof why, "see its log");
         json_decref(report);
     }
+    /* Over a limit, out of memory, or killed (by the system, where that ran out of memory): all of the budget may do. */
+    if (s->state == BUILD_FAILED && (code == 4 || code == 6 || code == -SIGKILL) && !s->alone && memory_of(r, s) < r->budget && s->tries <= r->o->retries) {
+        cli_verbose(r->c, "%s %s: %s; trying again with the whole budget", build_words[s->kind], s->asset, why);
+        s->alone = true;
+        s->state = BUILD_WAITING;
+        return;
+    }
     if (s->state == BUILD_FAILED && !is_bad_input(code) && s->tries <= r->o->retries) {
         cli_verbose(r->c, "%s %s: %s; trying again", build_words[s->kind], s->asset, why);
         s->state = BUILD_WAITING;
@@ -184,7 +197,8 @@ static svo_result reap(runner *r, svo_error *err)
 {
     int status;
     pid_t pid;
-    do pid = waitpid(-1, &status, 0);
+    struct rusage usage = {0};
+    do pid = wait4(-1, &status, 0, &usage);
     while (pid < 0 && errno == EINTR);
     if (pid < 0) return svo_fail(err, SVO_RUNTIME, "waiting for a step failed: %s", strerror(errno));
     for (uint32_t i = 0; i < r->p->count; i++) {
@@ -192,6 +206,11 @@ static svo_result reap(runner *r, svo_error *err)
         if (s->state != BUILD_RUNNING || s->pid != pid) continue;
         r->running--;
         r->memory_used -= memory_of(r, s);
+        s->peak = (uint64_t)usage.ru_maxrss << 10;
+        uint64_t memory = memory_of(r, s);
+        if (memory != 0 && s->peak > memory) svo_warn(&r->c->warnings, "%s %s took %llu MiB of memory, more than its %llu", build_words[s->kind], s->asset,
+                                                      (unsigned long long)(s->peak >> 20), (unsigned long long)(memory >> 20));
+        if (s->peak > r->totals->peak) r->totals->peak = s->peak;
         settle(r, s, WIFEXITED(status) ? WEXITSTATUS(status) : -WTERMSIG(status));
         break;
     }

@@ -31,6 +31,7 @@ static void report(cli *c, const build_totals *t, uint32_t steps)
     cli_put_u64(o, "bad_input", t->bad_input);
     cli_put_u64(o, "bad_luck", t->bad_luck);
     cli_put_u64(o, "skipped", t->skipped);
+    cli_put_u64(o, "step_peak_rss_bytes", t->peak);
 }
 
 int main(int argc, char **argv)

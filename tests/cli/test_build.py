@@ -213,6 +213,22 @@ def test_budget_and_lock(folder):
         build(path, code=2)
 
 
+def test_measured_memory(folder):
+    """Each line says what a step could take and what it took; one whose share was too little gets all of the budget, with nothing beside it."""
+    assets = some(folder, 3)
+    support.sphere_obj(folder / "big.obj", rings=300)
+    assets.append({"name": "big", "input": "big.obj", "voxelize": {"depth": 9, "temp-size": "1K"}, "compress": False}) # cannot spill
+    path = manifest(folder, assets)
+    lines = {(l["asset"], l["step"]): l for l in build(path, "-j", 8, "--memory", "320M", "--report", folder / "r.json")}
+    check(all(l["memory"] == (40 << 20) for k, l in lines.items() if k[0] != "big"), lines)
+    check(all((1 << 20) < l["peak_rss_bytes"] <= l["memory"] for l in lines.values()), lines)
+    big = lines["big", "voxelize"]
+    check((big["state"], big["tries"], big["memory"]) == ("built", 2, 320 << 20), big)
+    check(support.report(folder / "r.json")["output"]["step_peak_rss_bytes"] == max(l["peak_rss_bytes"] for l in lines.values()))
+    none = build(path, "--retries", 0, code=0)
+    check(set(states(none).values()) == {"current"}, none)
+
+
 def test_progress(folder):
     """Done of total, the share by measured seconds, and the time that is left: a line a second with --progress, in place at a terminal, nothing otherwise."""
     assets = some(folder, 6)
