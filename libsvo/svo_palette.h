@@ -70,6 +70,8 @@ static inline uint64_t svo_palette_bits(const uint8_t *p, uint64_t bit, uint32_t
 
 /* Value i (its little-endian bytes as a number). i < count is the caller's duty. */
 uint32_t svo_palette_value(const svo_palette *p, uint64_t i);
+/* The same for values index[0 .. count), in any order, several at a time so that memory is waited for once. */
+void svo_palette_values(const svo_palette *p, const uint64_t *index, uint32_t count, uint32_t *values);
 
 /* A lattice: `n` steps of `step` from `low` in each component. Colours: Y, Co, Cg of YCoCg-R; normals: the two
  * octahedral coordinates; one component otherwise. */

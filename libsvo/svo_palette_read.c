@@ -63,6 +63,21 @@ static inline uint32_t number_of(place b, uint32_t at, uint32_t width, bool runs
 
 static inline uint32_t width_of(uint64_t points) { return points > 1 ? 64 - (uint32_t)__builtin_clzll(points - 1) : 0; }
 
+/* Where the numbers of a lattice's points begin, in bits, and how wide they are. */
+static inline uint32_t lattice_numbers(svo_channel_kind kind, const uint8_t *data, uint32_t *width)
+{
+    uint64_t h = load64(data);
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: *width = width_of(((h >> 8 & 255) + 1) * ((h >> 30 & 511) + 1) * ((h >> 53 & 511) + 1)); return 67;
+    case SVO_KIND_NORMAL_OCT32: *width = width_of(((h >> 16 & 0xffff) + 1) * ((load64(data + 4) >> 23 & 0xffff) + 1)); return 78;
+    case SVO_KIND_UNORM8: *width = width_of((h >> 8 & 0xff) + 1); return 21;
+    case SVO_KIND_ID16: *width = width_of((h >> 16 & 0xffff) + 1); return 32;
+    case SVO_KIND_ID32: break;
+    }
+    *width = width_of((h >> 32) + 1);
+    return 64;
+}
+
 /* A lattice of colours: Y (8, 8, 5 bits), Co and Cg (9, 9, 5 bits); docs/format/svdag.md, "Lattices". */
 static uint32_t color_of_lattice(place b, bool runs)
 {
@@ -100,33 +115,53 @@ static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
     return svo_lattice_point(kind, &l, number_of(b, 2 * field + (kind == SVO_KIND_UNORM8 ? 5 : 0), width_of(l.n[0]), runs));
 }
 
-uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
+/* Where a value is: first its superblock and block, then the block's header, then its data. Each step reads what the one before has named, which
+ * one value at a time waits for; several values at a time do not. */
+typedef struct search {
+    const uint8_t *super, *data;
+    uint32_t j, block, begin, end; /* granules */
+    uint32_t mode, field;
+} search;
+
+static inline search find_block(const svo_palette *p, uint64_t i)
 {
     uint64_t s = i / SVO_SUPERBLOCK;
     const uint8_t *entry = p->directory + s * SVO_PALETTE_ENTRY;
-    uint32_t offset, b = svo_palette_table_bits(p->table_count);
+    uint32_t offset;
+    search f = {.j = (uint32_t)(i % SVO_SUPERBLOCK)};
     memcpy(&offset, entry + 8, sizeof offset);
-    const uint8_t *super = p->payload + load64(p->payload + s / SVO_PALETTE_GROUP * 8) + offset;
+    f.super = p->payload + load64(p->payload + s / SVO_PALETTE_GROUP * 8) + offset;
     if (s + 1 < p->superblock_count) { /* where the data would be if all blocks took the same bits: right often enough */
         uint32_t next;
         memcpy(&next, entry + SVO_PALETTE_ENTRY + 8, sizeof next);
-        const uint8_t *guess = super + ((uint64_t)(next - offset) * (i % SVO_SUPERBLOCK) >> 10);
+        const uint8_t *guess = f.super + ((uint64_t)(next - offset) * f.j >> 10);
         __builtin_prefetch(guess);
         __builtin_prefetch(guess + 64);
     }
     uint64_t map = load64(entry);
-    uint32_t granule = (uint32_t)(i / SVO_GRANULE) & 63;
+    uint32_t granule = f.j / SVO_GRANULE;
     uint64_t upto = ~(uint64_t)0 >> (63 - granule), below = map & upto, above = map & ~upto;
-    uint32_t block = (uint32_t)__builtin_popcountll(below) - 1, begin = 63 - (uint32_t)__builtin_clzll(below);
+    f.block = (uint32_t)__builtin_popcountll(below) - 1;
+    f.begin = 63 - (uint32_t)__builtin_clzll(below);
+    f.end = above != 0 ? (uint32_t)__builtin_ctzll(above) : 64;
+    return f;
+}
+
+static inline void find_data(search *f)
+{
     uint16_t header;
-    memcpy(&header, super + 2 * block, sizeof header);
-    uint32_t mode = header & 31, field = header >> 5;
-    if (mode < SVO_BLOCK_ONE_WIDE) return table_value(p, mode << 11 | field);
-    const uint8_t *data = super + field;
-    __builtin_prefetch(data + 64); /* numbers and palettes are seldom in the line of the begin */
-    __builtin_prefetch(data + 128);
-    uint32_t end = above != 0 ? (uint32_t)__builtin_ctzll(above) : 64;
-    place at = {data, (uint32_t)(i % SVO_SUPERBLOCK) - begin * SVO_GRANULE, (end - begin) * SVO_GRANULE};
+    memcpy(&header, f->super + 2 * f->block, sizeof header);
+    f->mode = header & 31;
+    f->field = header >> 5;
+    f->data = f->super + f->field;
+}
+
+static inline uint32_t read_data(const svo_palette *p, const search *f)
+{
+    const uint32_t b = svo_palette_table_bits(p->table_count), mode = f->mode;
+    const uint8_t *data = f->data;
+    if (mode < SVO_BLOCK_ONE_WIDE) return table_value(p, mode << 11 | f->field);
+    place at = {data, f->j - f->begin * SVO_GRANULE, (f->end - f->begin) * SVO_GRANULE};
     if (mode >= SVO_BLOCK_PALETTE_RUNS) {
         uint32_t n = number_of(at, 8 + (data[0] + 1u) * b, mode - SVO_BLOCK_PALETTE_RUNS + 2, true);
         return table_value(p, bits_at(data, 8 + n * b, b));
@@ -142,4 +177,67 @@ uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
     }
     if (mode >= SVO_BLOCK_BOX) return value_of_lattice(p->kind, at, mode == SVO_BLOCK_BOX_RUNS);
     return table_value(p, bits_at(data, mode == SVO_BLOCK_RAW ? at.j * b : 0, b));
+}
+
+uint32_t svo_palette_value(const svo_palette *p, uint64_t i)
+{
+    search f = find_block(p, i);
+    find_data(&f);
+    __builtin_prefetch(f.data + 64); /* numbers and palettes are seldom in the line of the begin */
+    __builtin_prefetch(f.data + 128);
+    return read_data(p, &f);
+}
+
+/* Ask memory for what read_data will read beyond the begin of the data: the number of the value and palettes, ... */
+static inline void ask_numbers(const search *f, uint32_t table_bits)
+{
+    const uint32_t j = f->j - f->begin * SVO_GRANULE, length = (f->end - f->begin) * SVO_GRANULE, mode = f->mode;
+    if (mode >= SVO_BLOCK_PALETTE_RUNS) { /* the number is between the flags' place and the last possible one */
+        __builtin_prefetch(f->data + 64);
+        __builtin_prefetch(f->data + 128);
+    } else if (mode >= SVO_BLOCK_PALETTE) {
+        __builtin_prefetch(f->data + (j * (mode - SVO_BLOCK_PALETTE + 1) >> 3));
+        __builtin_prefetch(f->data + (length * (mode - SVO_BLOCK_PALETTE + 1) >> 3));
+    } else if (mode >= SVO_BLOCK_LINE_RUNS) __builtin_prefetch(f->data + 64);
+    else if (mode >= SVO_BLOCK_LINE) __builtin_prefetch(f->data + ((2 * table_bits + j * (mode - SVO_BLOCK_LINE + 2)) >> 3));
+    else if (mode == SVO_BLOCK_RAW) __builtin_prefetch(f->data + (j * table_bits >> 3));
+}
+
+/* ... and where numbers are as wide as a lattice's header says. */
+static inline void ask_points(svo_channel_kind kind, const search *f)
+{
+    const uint32_t j = f->j - f->begin * SVO_GRANULE;
+    uint32_t width, at = lattice_numbers(kind, f->data, &width);
+    if (f->mode == SVO_BLOCK_BOX) {
+        __builtin_prefetch(f->data + ((at + j * width) >> 3));
+        return;
+    }
+    at += (f->end - f->begin) * SVO_GRANULE; /* flags first; perhaps every second value begins a run */
+    __builtin_prefetch(f->data + 64);
+    __builtin_prefetch(f->data + ((at + j * width / 2) >> 3));
+    __builtin_prefetch(f->data + ((at + j * width / 4) >> 3));
+}
+
+void svo_palette_values(const svo_palette *p, const uint64_t *index, uint32_t count, uint32_t *values)
+{
+    enum { AT_ONCE = 32 };
+    search f[AT_ONCE];
+    const uint32_t table_bits = svo_palette_table_bits(p->table_count);
+    while (count != 0) {
+        const uint32_t n = count < AT_ONCE ? count : AT_ONCE;
+        for (uint32_t k = 0; k < n; k++) __builtin_prefetch(p->directory + index[k] / SVO_SUPERBLOCK * SVO_PALETTE_ENTRY);
+        for (uint32_t k = 0; k < n; k++) {
+            f[k] = find_block(p, index[k]);
+            __builtin_prefetch(f[k].super + 2 * f[k].block);
+        }
+        for (uint32_t k = 0; k < n; k++) {
+            find_data(&f[k]);
+            __builtin_prefetch(f[k].data);
+            ask_numbers(&f[k], table_bits);
+        }
+        for (uint32_t k = 0; k < n; k++)
+            if (f[k].mode == SVO_BLOCK_BOX || f[k].mode == SVO_BLOCK_BOX_RUNS) ask_points(p->kind, &f[k]);
+        for (uint32_t k = 0; k < n; k++) values[k] = read_data(p, &f[k]);
+        index += n, values += n, count -= n;
+    }
 }

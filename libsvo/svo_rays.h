@@ -47,6 +47,10 @@ void svo_rays_cast(const svo_rays *r, const svo_ray *rays, uint64_t count, svo_h
 /* As svo_ray_blocked: blocked[i] tells whether rays[i] hits anything. */
 void svo_rays_blocked(const svo_rays *r, const svo_ray *rays, uint64_t count, bool *blocked);
 
+/* Values of a channel at hits: out + i * stride is what svo_view_attribute gives for hits[i].attribute, and 0 where hits[i].hit is false. Several at
+ * a time; neighbouring hits of one node are looked up once. For hits of svo_raycast too. */
+void svo_rays_values(const svo_view *view, uint32_t channel, const svo_hit *hits, uint64_t count, uint8_t *out);
+
 const char *svo_ray_kernel_name(svo_ray_kernel kernel);
 
 #ifdef __cplusplus

@@ -92,6 +92,19 @@ static void check_unused(const stream *s, encoded *e)
     free(values);
 }
 
+/* Many values at a time are those one by one, in whatever order and number. */
+static void check_many(const svo_palette *p, uint64_t count)
+{
+    enum { MANY = 300 };
+    uint64_t index[MANY], seed = count;
+    uint32_t values[MANY];
+    for (uint32_t n = 1; n <= MANY && !test_failed(); n = 2 * n + 1) {
+        for (uint32_t i = 0; i < n; i++) index[i] = (i % 3 == 0 ? test_random(&seed) : test_random(&seed) % 70 + count / 2) % count;
+        svo_palette_values(p, index, n, values);
+        for (uint32_t i = 0; i < n && !test_failed(); i++) CHECK_U64(values[i], svo_palette_value(p, index[i]));
+    }
+}
+
 /* Encodes with 1, 2 and 7 threads, checks, reads every value. Returns bytes of directory and payload. */
 static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t table_count, svo_palette_goal goal)
 {
@@ -111,6 +124,7 @@ static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t ta
     svo_palette_stats stats;
     svo_result r = svo_palette_check(&e.p, &stats, &err);
     if (r != SVO_OK || memcmp(stats.blocks, e.stats.blocks, sizeof stats.blocks) != 0) test_fail(__FILE__, __LINE__, "%s", err.message);
+    if (s->count != 0 && !test_failed()) check_many(&e.p, s->count);
     double sum = 0, most = 0;
     for (uint64_t i = 0; i < s->count && !test_failed(); i++) {
         uint32_t got = svo_palette_value(&e.p, i);

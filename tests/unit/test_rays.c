@@ -48,6 +48,24 @@ static void check_rays(const svo_view *v, const svo_ray *rays, uint64_t count)
     free(expected), free(hits), free(blocked);
 }
 
+/* Values of many hits at a time are those of each. */
+static void check_values(const svo_view *v, const svo_ray *rays, uint32_t count)
+{
+    svo_hit *hits = malloc(count * sizeof *hits);
+    uint8_t *values = malloc((size_t)count * SVO_MAX_STRIDE), expected[SVO_MAX_STRIDE];
+    svo_raycast(v, rays, count, hits);
+    for (uint32_t c = 0; c < v->channel_count && !test_failed(); c++) {
+        const uint32_t stride = svo_channel_stride(v->channels[c].channel.kind);
+        svo_rays_values(v, c, hits, count, values);
+        for (uint32_t i = 0; i < count && !test_failed(); i++) {
+            memset(expected, 0, sizeof expected);
+            if (hits[i].hit) svo_view_attribute(v, c, hits[i].attribute, expected);
+            CHECK(memcmp(values + (size_t)i * stride, expected, stride) == 0);
+        }
+    }
+    free(hits), free(values);
+}
+
 static void check_view(const svo_view *v, uint64_t seed, uint64_t count)
 {
     svo_ray *rays = malloc(count * sizeof *rays);
@@ -59,6 +77,7 @@ static void check_view(const svo_view *v, uint64_t seed, uint64_t count)
             rays[i].offset = i % 5 != 0 ? 0 : ldexp(1, (int)v->depth) * test_random_unit(&seed) * test_random_unit(&seed);
         }
         check_rays(v, rays, count);
+        check_values(v, rays, (uint32_t)count);
     }
     free(rays);
 }

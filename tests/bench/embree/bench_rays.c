@@ -203,6 +203,7 @@ static void *work(void *user)
     job *j = w->job;
     svo_hit *hits = get(CHUNK, sizeof *hits);
     bool *blocked = get(CHUNK, sizeof *blocked);
+    uint8_t *values = get(CHUNK, SVO_MAX_STRIDE);
     double start = thread_seconds();
     w->hits = w->sum = 0;
     for (;;) {
@@ -218,18 +219,15 @@ static void *work(void *user)
                 for (uint32_t i = 0; i < n; i++) blocked[i] = svo_ray_blocked(j->view, j->grid + first + i);
             else
                 for (uint32_t i = 0; i < n; i += BATCH) svo_raycast(j->view, j->grid + first + i, n - i < BATCH ? n - i : BATCH, hits + i);
-            if (decode && !any)
-                for (uint32_t i = 0; i < n; i++)
-                    for (uint32_t c = 0; hits[i].hit && c < j->view->channel_count; c++) {
-                        uint8_t value[SVO_MAX_STRIDE];
-                        svo_view_attribute(j->view, c, hits[i].attribute, value);
-                        w->sum += value[0];
-                    }
+            for (uint32_t c = 0; decode && !any && c < j->view->channel_count; c++) {
+                svo_rays_values(j->view, c, hits, n, values);
+                w->sum += values[0];
+            }
             for (uint32_t i = 0; i < n; i++) w->hits += any ? blocked[i] : hits[i].hit;
         }
     }
     w->seconds = thread_seconds() - start;
-    free(hits), free(blocked);
+    free(hits), free(blocked), free(values);
     return NULL;
 }
 

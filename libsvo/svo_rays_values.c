@@ -1,0 +1,68 @@
+/* Values of hits: neighbouring rays meet the same voxels, so each node is looked up once for as long as it is remembered, and
+ * lookups go many at a time. */
+#include "svo_rays.h"
+
+#include <string.h>
+
+enum { BATCH = 256, KNOWN_BITS = 6 };
+
+/* Distinct numbers of a batch, nearly: those that come again within the last few. */
+typedef struct lookup {
+    uint64_t index[BATCH];
+    uint32_t value[BATCH];
+    uint32_t count;
+    uint16_t of[BATCH]; /* by hit: which of them */
+} lookup;
+
+static void distinct(const svo_hit *hits, uint32_t count, lookup *l)
+{
+    uint16_t known[1 << KNOWN_BITS];
+    memset(known, 0, sizeof known);
+    l->count = 0;
+    l->index[0] = ~(uint64_t)0;
+    for (uint32_t i = 0; i < count; i++) {
+        if (!hits[i].hit) continue;
+        uint64_t index = hits[i].attribute;
+        uint32_t slot = (uint32_t)(index * 0x9e3779b97f4a7c15u >> (64 - KNOWN_BITS)), at = known[slot];
+        if (l->index[at] != index) {
+            at = l->count++;
+            known[slot] = (uint16_t)at;
+            l->index[at] = index;
+        }
+        l->of[i] = (uint16_t)at;
+    }
+}
+
+static void read_values(const svo_view *v, uint32_t channel, lookup *l)
+{
+    const svo_view_channel *c = &v->channels[channel];
+    const uint32_t stride = svo_channel_stride(c->channel.kind);
+    if (c->encoding == SVO_ENCODING_BLOCKS) {
+        svo_palette p = svo_view_palette(v, channel);
+        svo_palette_values(&p, l->index, l->count, l->value);
+        return;
+    }
+    if (c->encoding == SVO_ENCODING_RAW)
+        for (uint32_t i = 0; i < l->count; i++) __builtin_prefetch(c->raw + l->index[i] * stride);
+    for (uint32_t i = 0; i < l->count; i++) {
+        uint8_t value[SVO_MAX_STRIDE];
+        svo_view_attribute(v, channel, l->index[i], value);
+        memcpy(&l->value[i], value, stride);
+    }
+}
+
+void svo_rays_values(const svo_view *view, uint32_t channel, const svo_hit *hits, uint64_t count, uint8_t *out)
+{
+    const uint32_t stride = svo_channel_stride(view->channels[channel].channel.kind);
+    lookup l;
+    SVO_ASSERT(stride <= sizeof *l.value);
+    for (uint64_t first = 0; first < count; first += BATCH) {
+        uint32_t n = count - first < BATCH ? (uint32_t)(count - first) : BATCH;
+        distinct(hits + first, n, &l);
+        read_values(view, channel, &l);
+        memset(out, 0, (size_t)n * stride);
+        for (uint32_t i = 0; i < n; i++)
+            if (hits[first + i].hit) memcpy(out + (size_t)i * stride, &l.value[l.of[i]], stride);
+        out += (size_t)n * stride;
+    }
+}
