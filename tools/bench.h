@@ -7,7 +7,7 @@
 #include "svo_mesh.h"
 #include "svo_stream.h"
 
-typedef enum bench_sweep { SWEEP_DEPTH, SWEEP_COLOR, SWEEP_NORMAL, SWEEP_OMEGA } bench_sweep;
+typedef enum bench_sweep { SWEEP_DEPTH, SWEEP_COLOR, SWEEP_NORMAL, SWEEP_OMEGA, SWEEP_METHOD } bench_sweep;
 
 enum { BENCH_MAX_VALUES = 64, BENCH_MAX_REPEAT = 1000 };
 
@@ -21,7 +21,7 @@ typedef enum bench_column {
     COL_COLOR_MEAN, COL_COLOR_MAX, COL_NORMAL_MEAN, COL_NORMAL_MAX, COL_REFERENCE_VOXELS, COL_SNAP_MEAN, COL_SNAP_MAX, COL_DELTA_E_MEAN, COL_DELTA_E_MAX,
     COL_DEGREES_MEAN, COL_DEGREES_MAX, COL_SKELETON_WALL, COL_SKELETON_CPU, COL_CONVERGED, COL_ITERATIONS, COL_VERTICES,
     COL_JOINTS, COL_BONES, COL_COMPONENTS, COL_ENDS, COL_BRANCHES, COL_LOOPS, COL_THINNESS, COL_SURFACE_MEAN, COL_SURFACE_MAX,
-    COL_RECONSTRUCTION_MEAN, COL_RECONSTRUCTION_MAX, COL_SKEL_BYTES, COL_VOXELIZE_PEAK, COL_COMPRESS_PEAK, COL_SKELETON_PEAK,
+    COL_RECONSTRUCTION_MEAN, COL_RECONSTRUCTION_MAX, COL_INSIDE, COL_OFF_CENTRE, COL_BALLS_MEAN, COL_BALLS_MAX, COL_LITERAL_MEAN, COL_LITERAL_MAX, COL_SKEL_BYTES, COL_VOXELIZE_PEAK, COL_COMPRESS_PEAK, COL_SKELETON_PEAK,
     COL_PEAK_RSS,
     COL_COUNT
 } bench_column;
@@ -43,11 +43,13 @@ typedef struct bench_axes {
 } bench_axes;
 extern const char *const bench_sweep_names[];
 
-typedef enum bench_value_kind { VALUE_NUMBER, VALUE_BOUND, VALUE_LOSSLESS } bench_value_kind;
+typedef enum bench_value_kind { VALUE_NUMBER, VALUE_BOUND, VALUE_LOSSLESS, VALUE_METHOD } bench_value_kind;
 typedef struct bench_value {
     bench_value_kind kind;
-    double number;
-    char label[24];
+    double number; /* METHOD: omega */
+    int method, search, place; /* METHOD: as in skel_options */
+    bool by_delta;             /* METHOD: ends by the thesis' delta */
+    char label[48];
 } bench_value;
 
 typedef struct bench_model {
@@ -88,6 +90,24 @@ static inline bench_row *bench_row_at(const bench *b, uint32_t model, uint32_t v
     return &b->rows[(uint64_t)model * b->value_count + value];
 }
 
+/* Wall time and user CPU time (of all threads) of repeated runs. */
+typedef struct bench_watch {
+    double wall_start, cpu_start;
+    uint32_t count;
+    double wall[BENCH_MAX_REPEAT], cpu[BENCH_MAX_REPEAT];
+} bench_watch;
+void bench_watch_start(bench_watch *w);
+void bench_watch_stop(bench_watch *w);
+double bench_median(double *v, uint32_t n);
+
+/* The sweeps of skeletons: one point of one model, charged to `memory`. What the literal iteration makes of it at the point's omega and place is kept for
+ * the points that follow; free it when the model is done. */
+typedef struct bench_literals bench_literals;
+svo_result bench_skeleton(bench *b, const svo_mesh *mesh, const svo_allocator *memory, const bench_value *value, bench_watch *watch, bench_literals **literals, double *v, svo_error *err);
+void bench_literals_free(bench_literals *l);
+/* "fast+grid@0.025": words in any order, then omega. */
+bool bench_parse_method(const char *item, bench_value *out);
+
 /* Measure all values of one model into its rows; a failure is noted in the rows it concerns. */
 void bench_measure(bench *b, uint32_t model);
 /* Distance of points of the mesh's surface (a fixed choice, evenly spread over its area) from the nearest voxel centre of the .svo, in voxels: at least
@@ -99,7 +119,7 @@ svo_result bench_surface_distances(const svo_mesh *mesh, const svo_buffer *svo, 
 void bench_mark_fronts(bench *b);
 
 /* "6..10,12", "4..14:2", "deltaE=1,lossless"; NULL = the sweep's default. False with the reason in why. */
-bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BENCH_MAX_VALUES], uint32_t *count, char why[200]);
+bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BENCH_MAX_VALUES], uint32_t *count, char why[300]);
 
 /* Text in memory; after a failure to allocate nothing is added and `failed` stays set. */
 typedef struct bench_text {

@@ -8,18 +8,10 @@
 
 #include "bench.h"
 #include "fmt_import.h"
-#include "fmt_skel.h"
 #include "fmt_svdag.h"
 #include "fmt_svo.h"
 #include "svo_dag.h"
 #include "svo_voxelize.h"
-
-/* Wall time and user CPU time (of all threads) of repeated runs. */
-typedef struct stopwatch {
-    double wall_start, cpu_start;
-    uint32_t count;
-    double wall[BENCH_MAX_REPEAT], cpu[BENCH_MAX_REPEAT];
-} stopwatch;
 
 /* What belongs to one model while it is measured. */
 typedef struct work {
@@ -33,7 +25,8 @@ typedef struct work {
     uint64_t voxelize_peak;
     svo_tree_info info;
     svo_voxelize_report voxelized;
-    stopwatch watch;
+    bench_watch watch;
+    bench_literals *literals;
 } work;
 
 /* The high-water mark of resident memory, set back before each point. 0 where the system does not tell. */
@@ -63,13 +56,13 @@ static double user_seconds(void)
     return (double)u.ru_utime.tv_sec + 1e-6 * (double)u.ru_utime.tv_usec;
 }
 
-static void watch_start(stopwatch *w)
+void bench_watch_start(bench_watch *w)
 {
     w->cpu_start = user_seconds();
     w->wall_start = svo_seconds();
 }
 
-static void watch_stop(stopwatch *w)
+void bench_watch_stop(bench_watch *w)
 {
     w->wall[w->count] = svo_seconds() - w->wall_start;
     w->cpu[w->count] = user_seconds() - w->cpu_start;
@@ -82,7 +75,7 @@ static int by_size(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static double median(double *v, uint32_t n)
+double bench_median(double *v, uint32_t n)
 {
     qsort(v, n, sizeof *v, by_size);
     return n % 2 == 1 ? v[n / 2] : (v[n / 2 - 1] + v[n / 2]) / 2;
@@ -146,13 +139,13 @@ static svo_result voxelize(work *w, uint32_t depth, uint32_t channels, svo_error
         svo_limit_allocator charged;
         svo_limit_allocator_init(&charged, UINT64_MAX, &w->memory.base);
         svo_buffer_free(&w->svo);
-        watch_start(&w->watch);
+        bench_watch_start(&w->watch);
         SVO_TRY(voxelize_once(w, depth, channels, &charged, err));
-        watch_stop(&w->watch);
+        bench_watch_stop(&w->watch);
         if (svo_limit_peak(&charged) > w->voxelize_peak) w->voxelize_peak = svo_limit_peak(&charged);
     }
-    w->voxelize_wall = median(w->watch.wall, w->watch.count);
-    w->voxelize_cpu = median(w->watch.cpu, w->watch.count);
+    w->voxelize_wall = bench_median(w->watch.wall, w->watch.count);
+    w->voxelize_cpu = bench_median(w->watch.cpu, w->watch.count);
     return SVO_OK;
 }
 
@@ -268,9 +261,9 @@ static svo_result compress(work *w, const bench_value *value, bench_row *row, sv
         o.allocator = &charged.base;
         o.memory = memory_left(w);
         o.warnings = warnings_of(w);
-        watch_start(&w->watch);
+        bench_watch_start(&w->watch);
         SVO_TRY(compress_once(w, &o, &d, &bytes, err));
-        watch_stop(&w->watch);
+        bench_watch_stop(&w->watch);
         if (svo_limit_peak(&charged) > peak) peak = svo_limit_peak(&charged);
     }
     double *v = row->value, voxels = (double)w->voxelized.counts.nodes[w->info.depth], size = w->info.voxel_to_world[0];
@@ -279,8 +272,8 @@ static svo_result compress(work *w, const bench_value *value, bench_row *row, sv
     v[COL_NODES] = (double)sum_nodes(&w->voxelized.counts, w->info.depth);
     v[COL_VOXELIZE_WALL] = w->voxelize_wall;
     v[COL_VOXELIZE_CPU] = w->voxelize_cpu;
-    v[COL_COMPRESS_WALL] = median(w->watch.wall, w->watch.count);
-    v[COL_COMPRESS_CPU] = median(w->watch.cpu, w->watch.count);
+    v[COL_COMPRESS_WALL] = bench_median(w->watch.wall, w->watch.count);
+    v[COL_COMPRESS_CPU] = bench_median(w->watch.cpu, w->watch.count);
     v[COL_TOTAL_WALL] = v[COL_VOXELIZE_WALL] + v[COL_COMPRESS_WALL];
     v[COL_TOTAL_CPU] = v[COL_VOXELIZE_CPU] + v[COL_COMPRESS_CPU];
     v[COL_SVO_BYTES] = (double)w->svo.size;
@@ -309,69 +302,6 @@ static svo_result compress(work *w, const bench_value *value, bench_row *row, sv
     return SVO_OK;
 }
 
-/* --- skeletons ---------------------------------------------------------------------------------------------------- */
-
-static void note_skeleton(const skel_skeleton *s, double *v)
-{
-    const skel_report *r = &s->report;
-    v[COL_CONVERGED] = r->converged;
-    v[COL_ITERATIONS] = (double)r->iterations;
-    v[COL_VERTICES] = (double)r->tessellated_vertices;
-    v[COL_JOINTS] = s->joint_count;
-    v[COL_BONES] = s->bone_count;
-    v[COL_COMPONENTS] = r->components;
-    v[COL_ENDS] = r->ends;
-    v[COL_BRANCHES] = r->branches;
-    v[COL_LOOPS] = r->loops;
-    v[COL_THINNESS] = r->thinness_error;
-    v[COL_SURFACE_MEAN] = r->surface_distance_mean;
-    v[COL_SURFACE_MAX] = r->surface_distance_max;
-    v[COL_RECONSTRUCTION_MEAN] = r->reconstruction_mean;
-    v[COL_RECONSTRUCTION_MAX] = r->reconstruction_max;
-}
-
-static svo_result skeleton_bytes(const skel_skeleton *s, double *bytes, svo_error *err)
-{
-    fmt_output *out;
-    SVO_TRY(fmt_output_open("/dev/null", true, &out, err));
-    svo_result r = fmt_skel_write(out, s, NULL, err);
-    if (r == SVO_OK) *bytes = (double)fmt_output_offset(out);
-    fmt_output_discard(out);
-    return r;
-}
-
-static svo_result skeleton(work *w, const bench_value *value, bench_row *row, svo_error *err)
-{
-    cli_phase(w->b->c, "skeleton");
-    skel_options o = skel_default_options();
-    o.omega = value->number;
-    o.threads = (uint32_t)w->b->c->threads;
-    w->watch.count = 0;
-    uint64_t peak = 0;
-    for (uint64_t i = 0; i < w->b->repeat; i++) {
-        svo_limit_allocator charged;
-        svo_limit_allocator_init(&charged, UINT64_MAX, &w->memory.base);
-        o.allocator = &charged.base;
-        o.warnings = warnings_of(w);
-        skel_skeleton s = {0};
-        watch_start(&w->watch);
-        SVO_TRY(skel_build_mesh(&w->mesh, &o, &s, err));
-        watch_stop(&w->watch);
-        svo_result r = SVO_OK;
-        if (i == 0) {
-            note_skeleton(&s, row->value);
-            r = skeleton_bytes(&s, &row->value[COL_SKEL_BYTES], err);
-        }
-        skel_skeleton_free(&s);
-        if (r != SVO_OK) return r;
-        if (svo_limit_peak(&charged) > peak) peak = svo_limit_peak(&charged);
-    }
-    row->value[COL_SKELETON_WALL] = median(w->watch.wall, w->watch.count);
-    row->value[COL_SKELETON_CPU] = median(w->watch.cpu, w->watch.count);
-    row->value[COL_SKELETON_PEAK] = (double)peak;
-    return SVO_OK;
-}
-
 /* --- a model ------------------------------------------------------------------------------------------------------ */
 
 static void fail_row(const bench *b, bench_row *row, svo_result r, const svo_error *err)
@@ -386,7 +316,7 @@ static svo_result import(work *w, svo_error *err)
 {
     cli_phase(w->b->c, "import");
     /* The textures' alpha decides which voxels there are; skeletons take the triangles alone. */
-    fmt_import_options o = {.allocator = &w->memory.base, .threads = (uint32_t)w->b->c->threads, .skip_images = w->b->sweep == SWEEP_OMEGA, .warnings = &w->b->c->warnings};
+    fmt_import_options o = {.allocator = &w->memory.base, .threads = (uint32_t)w->b->c->threads, .skip_images = w->b->sweep == SWEEP_OMEGA || w->b->sweep == SWEEP_METHOD, .warnings = &w->b->c->warnings};
     double start = svo_seconds();
     SVO_TRY(fmt_import_mesh(w->b->models[w->model].path, &o, &w->mesh, err));
     w->import_seconds = svo_seconds() - start;
@@ -399,8 +329,8 @@ static svo_result measure_value(work *w, uint32_t i, bench_row *row, svo_error *
     const bench_value *value = &b->values[i];
     row->value[COL_TRIANGLES] = (double)svo_mesh_count(&w->mesh).placed_triangles;
     row->value[COL_IMPORT_WALL] = w->import_seconds;
-    if (b->sweep == SWEEP_OMEGA) {
-        svo_result r = skeleton(w, value, row, err);
+    if (b->sweep == SWEEP_OMEGA || b->sweep == SWEEP_METHOD) {
+        svo_result r = bench_skeleton(w->b, &w->mesh, &w->memory.base, value, &w->watch, &w->literals, row->value, err);
         if (peak_rss() != 0) row->value[COL_PEAK_RSS] = (double)peak_rss();
         return r;
     }
@@ -452,6 +382,7 @@ void bench_measure(bench *b, uint32_t model)
     }
     cli_phase(b->c, NULL);
     if (w == NULL) return;
+    bench_literals_free(w->literals);
     svo_buffer_free(&w->svo);
     svo_mesh_free(&w->mesh);
     free(w);

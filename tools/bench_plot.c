@@ -171,11 +171,23 @@ static bool shown(const panel *p, const bench_row *row)
     return row->result == SVO_OK && isfinite(row->value[p->cost]) && isfinite(row->value[p->error]);
 }
 
+/* In the sweep of methods a line joins the omegas of one method. */
+static bool same_line(const bench *b, uint32_t v)
+{
+    const char *now = b->values[v].label, *before = v > 0 ? b->values[v - 1].label : now;
+    size_t words = strcspn(now, "@");
+    return b->sweep != SWEEP_METHOD || (words == strcspn(before, "@") && strncmp(now, before, words) == 0);
+}
+
 static void draw_line(panel *p, uint32_t model, bench_column column, const char *style)
 {
     bool started = false;
     for (uint32_t v = 0; v < p->b->value_count; v++) {
         const bench_row *row = bench_row_at(p->b, model, v);
+        if (started && !same_line(p->b, v)) {
+            bench_text_add(p->out, "\" fill=\"none\" stroke=\"%s\" %s/>\n", colors[model % COLORS], style);
+            started = false;
+        }
         if (!shown(p, row) || !isfinite(row->value[column])) continue;
         bench_text_add(p->out, "%s%.1f,%.1f", started ? " " : "<polyline points=\"", place(&p->x, row->value[p->cost]), place(&p->y, row->value[column]));
         started = true;

@@ -9,14 +9,14 @@
 #include "bench.h"
 #include "svo_task.h"
 
-enum { D = 1 << SWEEP_DEPTH, C = 1 << SWEEP_COLOR, N = 1 << SWEEP_NORMAL, O = 1 << SWEEP_OMEGA, V = D | C | N };
+enum { D = 1 << SWEEP_DEPTH, C = 1 << SWEEP_COLOR, N = 1 << SWEEP_NORMAL, O = 1 << SWEEP_OMEGA, M = 1 << SWEEP_METHOD, S = O | M, V = D | C | N };
 
-const char *const bench_sweep_names[] = {"depth", "color", "normal", "omega", NULL};
+const char *const bench_sweep_names[] = {"depth", "color", "normal", "omega", "method", NULL};
 
 /* In the order of the enumeration. */
 const bench_column_info bench_columns[COL_COUNT] = {
-    [COL_TRIANGLES] = {"triangles", NULL, "", "triangles as placed by instances", V | O, true},
-    [COL_IMPORT_WALL] = {"import_wall_s", NULL, "s", "reading the mesh and its textures, once", V | O, false},
+    [COL_TRIANGLES] = {"triangles", NULL, "", "triangles as placed by instances", V | S, true},
+    [COL_IMPORT_WALL] = {"import_wall_s", NULL, "s", "reading the mesh and its textures, once", V | S, false},
     [COL_DEPTH] = {"grid_depth", NULL, "", "levels below the root", C | N, true},
     [COL_VOXELS] = {"voxels", "voxels", "", "finest voxels", V, true},
     [COL_NODES] = {"nodes", NULL, "", "nodes of all levels, finest voxels included", V, true},
@@ -60,27 +60,33 @@ const bench_column_info bench_columns[COL_COUNT] = {
     [COL_DELTA_E_MAX] = {"delta_e_max", "dE max", "CIE94", "the same, largest", C, false},
     [COL_DEGREES_MEAN] = {"degrees_mean", "deg mean", "degree", "angle over all attributes, inner nodes included, mean", N, false},
     [COL_DEGREES_MAX] = {"degrees_max", "deg max", "degree", "the same, largest", N, false},
-    [COL_SKELETON_WALL] = {"skeleton_wall_s", "skeleton s", "s", "mesh to skeleton, median of the repeats", O, false},
-    [COL_SKELETON_CPU] = {"skeleton_cpu_s", NULL, "s", "the same, user time of all threads", O, false},
-    [COL_CONVERGED] = {"converged", "converged", "", "1 if the contraction came to rest", O, true},
-    [COL_ITERATIONS] = {"iterations", "sweeps", "", "sweeps of the contraction", O, true},
-    [COL_VERTICES] = {"tessellated_vertices", NULL, "", "vertices with edges cut to omega", O, true},
-    [COL_JOINTS] = {"joints", "joints", "", "joints", O, true},
-    [COL_BONES] = {"bones", NULL, "", "bones", O, true},
-    [COL_COMPONENTS] = {"components", "parts", "", "connected parts of the curve", O, true},
-    [COL_ENDS] = {"ends", "ends", "", "joints with one bone", O, true},
-    [COL_BRANCHES] = {"branches", NULL, "", "joints with three bones and more", O, true},
-    [COL_LOOPS] = {"loops", "loops", "", "independent cycles", O, true},
-    [COL_THINNESS] = {"thinness_percent", "thinness %", "percent", "area left after the contraction (thesis, equation 5.7.1)", O, false},
-    [COL_SURFACE_MEAN] = {"surface_distance_mean_percent", NULL, "percent", "surface to the bones of its joint, of the bounding box's diagonal, mean", O, false},
-    [COL_SURFACE_MAX] = {"surface_distance_max_percent", NULL, "percent", "the same, largest", O, false},
-    [COL_RECONSTRUCTION_MEAN] = {"reconstruction_mean_percent", "error mean %", "percent", "that distance less the bone's radius there, absolute, mean", O, false},
-    [COL_RECONSTRUCTION_MAX] = {"reconstruction_max_percent", "error max %", "percent", "the same, largest", O, false},
-    [COL_SKEL_BYTES] = {"skel_bytes", ".skel", "B", "size of the .skel, map included, without provenance", O, true},
+    [COL_SKELETON_WALL] = {"skeleton_wall_s", "skeleton s", "s", "mesh to skeleton, median of the repeats", S, false},
+    [COL_SKELETON_CPU] = {"skeleton_cpu_s", NULL, "s", "the same, user time of all threads", S, false},
+    [COL_CONVERGED] = {"converged", "converged", "", "1 if the contraction came to rest", S, true},
+    [COL_ITERATIONS] = {"iterations", "sweeps", "", "sweeps of the contraction", S, true},
+    [COL_VERTICES] = {"tessellated_vertices", NULL, "", "vertices with edges cut to omega", S, true},
+    [COL_JOINTS] = {"joints", "joints", "", "joints", S, true},
+    [COL_BONES] = {"bones", NULL, "", "bones", S, true},
+    [COL_COMPONENTS] = {"components", "parts", "", "connected parts of the curve", S, true},
+    [COL_ENDS] = {"ends", "ends", "", "joints with one bone", S, true},
+    [COL_BRANCHES] = {"branches", NULL, "", "joints with three bones and more", S, true},
+    [COL_LOOPS] = {"loops", "loops", "", "independent cycles", S, true},
+    [COL_THINNESS] = {"thinness_percent", "thinness %", "percent", "area left after the contraction (thesis, equation 5.7.1)", S, false},
+    [COL_SURFACE_MEAN] = {"surface_distance_mean_percent", NULL, "percent", "surface to the bones of its joint, of the bounding box's diagonal, mean", S, false},
+    [COL_SURFACE_MAX] = {"surface_distance_max_percent", NULL, "percent", "the same, largest", S, false},
+    [COL_RECONSTRUCTION_MEAN] = {"reconstruction_mean_percent", "error mean %", "percent", "that distance less the bone's radius there, absolute, mean", S, false},
+    [COL_RECONSTRUCTION_MAX] = {"reconstruction_max_percent", "error max %", "percent", "the same, largest", S, false},
+    [COL_INSIDE] = {"length_inside_percent", "inside %", "percent", "of the curve's length inside the solid", M, false},
+    [COL_OFF_CENTRE] = {"off_centre_median", "off centre", "", "0 in the middle of the section across the curve, about 1 at the surface; median", M, false},
+    [COL_BALLS_MEAN] = {"inscribed_balls_mean_percent", "balls %", "percent", "surface to the inscribed balls of the curve, of the diagonal, mean", M, false},
+    [COL_BALLS_MAX] = {"inscribed_balls_max_percent", NULL, "percent", "the same, largest", M, false},
+    [COL_LITERAL_MEAN] = {"literal_distance_mean_omegas", "from literal", "omega", "curve to that of the literal iteration at the same omega and place, the larger mean of both ways", M, false},
+    [COL_LITERAL_MAX] = {"literal_hausdorff_percent", NULL, "percent", "the same, largest, of the model's unit", M, false},
+    [COL_SKEL_BYTES] = {"skel_bytes", ".skel", "B", "size of the .skel, map included, without provenance", S, true},
     [COL_VOXELIZE_PEAK] = {"voxelize_peak_bytes", "peak B", "B", "most memory charged while voxelizing and writing, besides mesh and .svo", V, true},
     [COL_COMPRESS_PEAK] = {"compress_peak_bytes", NULL, "B", "most memory charged while compressing, besides mesh and .svo", V, true},
-    [COL_PEAK_RSS] = {"peak_rss_bytes", NULL, "B", "most memory resident while the point was measured, mesh and .svo included; empty where the system does not tell", V | O, true},
-    [COL_SKELETON_PEAK] = {"skeleton_peak_bytes", "peak B", "B", "most memory charged while building the skeleton, besides the mesh", O, true},
+    [COL_PEAK_RSS] = {"peak_rss_bytes", NULL, "B", "most memory resident while the point was measured, mesh and .svo included; empty where the system does not tell", V | S, true},
+    [COL_SKELETON_PEAK] = {"skeleton_peak_bytes", "peak B", "B", "most memory charged while building the skeleton, besides the mesh", S, true},
 };
 
 bench_axes bench_axes_of(const bench *b)
@@ -93,8 +99,10 @@ bench_axes bench_axes_of(const bench *b)
         {COL_COMPRESS_WALL, COL_CHANNEL_BYTES, COL_DEGREES_MEAN, COL_DEGREES_MAX, "angle of normals, mean, degrees", "compress", "bytes of the normals",
          "largest angle"},
         {COL_SKELETON_WALL, COL_SKEL_BYTES, COL_RECONSTRUCTION_MEAN, COL_RECONSTRUCTION_MAX, "reconstruction error, mean, % of the diagonal", "skeleton",
-         "bytes of the .skel", "largest error"}};
-    static const bench_column cpu[] = {COL_TOTAL_CPU, COL_COMPRESS_CPU, COL_COMPRESS_CPU, COL_SKELETON_CPU};
+         "bytes of the .skel", "largest error"},
+        {COL_SKELETON_WALL, COL_SKELETON_PEAK, COL_BALLS_MEAN, COL_BALLS_MAX, "surface to inscribed balls, mean, % of the diagonal", "skeleton",
+         "most memory, bytes", "largest distance"}};
+    static const bench_column cpu[] = {COL_TOTAL_CPU, COL_COMPRESS_CPU, COL_COMPRESS_CPU, COL_SKELETON_CPU, COL_SKELETON_CPU};
     bench_axes a = axes[b->sweep];
     if (b->cpu) a.seconds = cpu[b->sweep];
     return a;

@@ -18,6 +18,9 @@ static const rule rules[] = {
     [SWEEP_COLOR] = {"4..14", 1, 16, 1, "deltaE", "bits from 1 to 16, deltaE=X with X above 0, or lossless"},
     [SWEEP_NORMAL] = {"8..24", 4, 32, 2, "deg", "even numbers of bits from 4 to 32, deg=X with X above 0, or lossless"},
     [SWEEP_OMEGA] = {"0.2,0.1,0.05,0.035,0.025,0.015", 1e-4, 4, 0, NULL, "numbers from 0.0001 to 4"},
+    [SWEEP_METHOD] = {"fast@0.05,fast@0.025,fast@0.0125,fast+grid@0.05,fast+grid@0.025,fast+grid@0.0125,literal+grid@0.05,literal+grid@0.025,"
+                      "fast+delta@0.025,fast+centroid@0.025,fast+contracted@0.025", 1e-4, 4, 0, NULL,
+                      "words of fast, literal, flann, grid, inside, centroid, contracted, delta with + between, @ and omega from 0.0001 to 4, as literal+grid@0.025"},
 };
 
 static bool add(bench_value out[BENCH_MAX_VALUES], uint32_t *count, bench_value_kind kind, double number, const char *bound)
@@ -58,7 +61,7 @@ static int parse_range(const rule *r, char *item, bench_value out[BENCH_MAX_VALU
     return 1;
 }
 
-bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BENCH_MAX_VALUES], uint32_t *count, char why[200])
+bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BENCH_MAX_VALUES], uint32_t *count, char why[300])
 {
     const rule *r = &rules[sweep];
     if (text == NULL) text = r->otherwise;
@@ -72,7 +75,12 @@ bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BEN
         char shown[64];
         memcpy(shown, item, sizeof item);
         int range = fits ? parse_range(r, item, out, count) : 0;
-        if (range >= 0) {
+        if (sweep == SWEEP_METHOD) {
+            bench_value m;
+            good = fits && bench_parse_method(item, &m);
+            room = !good || *count < BENCH_MAX_VALUES;
+            if (good && room) out[(*count)++] = m;
+        } else if (range >= 0) {
             good = range > 0;
             room = range != 2;
         } else if (bound != 0 && strcmp(item, "lossless") == 0) {
@@ -86,13 +94,13 @@ bool bench_parse_values(bench_sweep sweep, const char *text, bench_value out[BEN
             good = parse_number(r, item, &x);
             room = !good || add(out, count, VALUE_NUMBER, x, NULL);
         }
-        if (!good) return snprintf(why, 200, "'%s' is none of the values of this sweep: %s", shown, r->what), false;
-        if (!room) return snprintf(why, 200, "more than %d values", BENCH_MAX_VALUES), false;
+        if (!good) return snprintf(why, 300, "'%s' is none of the values of this sweep: %s", shown, r->what), false;
+        if (!room) return snprintf(why, 300, "more than %d values", BENCH_MAX_VALUES), false;
         if (at[length] == 0) break;
         at += length + 1;
     }
     for (uint32_t i = 0; i < *count; i++)
         for (uint32_t k = 0; k < i; k++)
-            if (strcmp(out[i].label, out[k].label) == 0) return snprintf(why, 200, "'%s' comes twice", out[i].label), false;
+            if (strcmp(out[i].label, out[k].label) == 0) return snprintf(why, 300, "'%s' comes twice", out[i].label), false;
     return true;
 }

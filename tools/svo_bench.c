@@ -288,11 +288,11 @@ static char *join_command(int argc, char **argv)
 /* Usage errors that only the whole command line shows; false with the sentence in why. */
 static bool check_usage(bench *b, const tool_options *o, const document docs[DOCUMENTS], char why[300])
 {
-    char values_why[200];
+    char values_why[300];
     if (!o->has_sweep) return snprintf(why, 300, "--sweep is needed"), false;
-    if (o->has_depth && (o->sweep == SWEEP_DEPTH || o->sweep == SWEEP_OMEGA)) return snprintf(why, 300, "--depth belongs to the sweeps of color and normal"), false;
+    if (o->has_depth && (o->sweep == SWEEP_DEPTH || o->sweep == SWEEP_OMEGA || o->sweep == SWEEP_METHOD)) return snprintf(why, 300, "--depth belongs to the sweeps of color and normal"), false;
     if (o->has_attributes && o->sweep != SWEEP_DEPTH) return snprintf(why, 300, "--attributes belongs to the sweep of depth"), false;
-    if (!bench_parse_values(b->sweep, o->values, b->values, &b->value_count, values_why)) return snprintf(why, 300, "--values: %s", values_why), false;
+    if (!bench_parse_values(b->sweep, o->values, b->values, &b->value_count, values_why)) return snprintf(why, 300, "--values: %.280s", values_why), false;
     if (b->c->input_count == 0 && o->list == NULL) return snprintf(why, 300, "no mesh given"), false;
     for (int i = 0; i < b->c->input_count; i++)
         if (strcmp(b->c->inputs[i], "-") == 0) return snprintf(why, 300, "meshes are read from files, not from stdin"), false;
@@ -320,9 +320,9 @@ int main(int argc, char **argv)
     tool_options o = {.depth = 8, .repeat = 3};
     cli_option options[] = {
         {.name = "sweep", .kind = CLI_CHOICE, .value = &o.sweep, .choices = bench_sweep_names, .argument = "WHAT", .seen = &o.has_sweep, .no_default = true,
-         .help = "The parameter: octree depth, bits or bounds of colours or of normals, or the skeleton's omega."},
+         .help = "The parameter: octree depth, bits or bounds of colours or of normals, the skeleton's omega, or how the skeleton is made."},
         {.name = "values", .kind = CLI_TEXT, .value = &o.values, .argument = "LIST", .no_default = true,
-         .help = "Numbers and ranges, e.g. 6..10,12 or 4..16:2; colours also deltaE=X, normals deg=X, both lossless."},
+         .help = "Numbers and ranges, e.g. 6..10,12 or 4..16:2; colours also deltaE=X, normals deg=X, both lossless; methods as fast@0.025,literal+grid@0.025."},
         {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth,
          .help = "Depth at which colours or normals are swept."},
         {.name = "attributes", .kind = CLI_CHOICE, .value = &o.attributes, .choices = attribute_names, .argument = "HOW", .seen = &o.has_attributes,
@@ -343,7 +343,7 @@ int main(int argc, char **argv)
     cli_tool tool = {
         .name = "svo-bench",
         .summary = "Sweep a parameter over meshes: error and bytes against run time, as a table and a plot.",
-        .synopsis = "MESH... --sweep depth|color|normal|omega [--values LIST] [--csv OUT.csv] [--json OUT.json] [--svg OUT.svg] [--html OUT.html] [options]",
+        .synopsis = "MESH... --sweep depth|color|normal|omega|method [--values LIST] [--csv OUT.csv] [--json OUT.json] [--svg OUT.svg] [--html OUT.html] [options]",
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "The table goes to stdout, unless a document or the report goes there (-). A mesh that fails is named in its rows, the others are measured, and the exit "

@@ -227,6 +227,31 @@ def test_omega(folder):
     check([len(p) for p in panels] == [2, 2], "points")
 
 
+def test_methods(folder):
+    """How a skeleton is made: what svo-skeleton and svo-compare say of the same runs, and the literal iteration beside itself."""
+    ball = support.sphere_obj(folder / "ball.obj", rings=12)
+    values = ["fast+grid@0.3", "fast+flann@0.3", "literal@0.3", "fast+contracted+delta@0.25"]
+    run("svo-bench", ball, "--sweep", "method", "--values", ",".join(values), "--repeat", 1, *all_output(folder))
+    rows = rows_of(folder / "o.csv")
+    check([r["method"] for r in rows] == values, rows)
+    options = [("--search", "grid"), (), ("--method", "literal"), ("--place", "contracted", "--delta", 0.05)]
+    for row, option, omega in zip(rows, options, (0.3, 0.3, 0.3, 0.25)):
+        run("svo-skeleton", ball, "-o", folder / "b.skel", "-f", "--omega", omega, "--report", folder / "s.json", *option)
+        place = option[:2] if "--place" in option else ()
+        run("svo-skeleton", ball, "-o", folder / "l.skel", "-f", "--omega", omega, "--method", "literal", *place)
+        tool("svo-compare", folder / "b.skel", folder / "l.skel", "--report", folder / "c.json", "-f")
+        out, distance = support.report(folder / "s.json")["output"], support.report(folder / "c.json")["comparison"]["skeleton"]
+        for column in ("joints", "ends", "loops", "iterations"):
+            check(int(row[column]) == out[column], (row, column))
+        check(math.isclose(float(row["literal_distance_mean_omegas"]), distance["curve_distance_mean_omegas"], rel_tol=1e-6, abs_tol=1e-12), (row, distance))
+        check(float(row["inscribed_balls_mean_percent"]) >= 0 and 0 <= float(row["length_inside_percent"]) <= 100, row)
+    same = ("joints", "iterations", "inscribed_balls_mean_percent", "literal_distance_mean_omegas", "skel_bytes")
+    check([rows[0][k] for k in same] == [rows[1][k] for k in same], "FLANN and the grid differ")
+    check(float(rows[2]["literal_distance_mean_omegas"]) == 0 == float(rows[2]["literal_hausdorff_percent"]), rows[2])
+    _, panels = picture(folder / "o.svg")
+    check([len(p) for p in panels] == [4, 4], "points")
+
+
 def test_figures_do_not_change_from_run_to_run(folder):
     ball = support.sphere_obj(folder / "ball.obj")
     seen = []
@@ -317,6 +342,7 @@ def test_usage(folder):
     bad += [["--sweep", "color", "--values", v] for v in ("0", "17", "deltaE=0", "deltaE=", "deltaE=-1", "deltaE=nan", "deg=1")]
     bad += [["--sweep", "normal", "--values", v] for v in ("3", "5", "34", "deltaE=1")]
     bad += [["--sweep", "omega", "--values", v] for v in ("0", "5", "0.1..0.2", "inf")]
+    bad += [["--sweep", "method", "--values", v] for v in ("fast", "@0.1", "slow@0.1", "fast+@0.1", "fast@", "fast@5", "fast@0x1", "fast@0.1,fast@0.1", "fast grid@0.1")]
     bad += [["--sweep", "omega", "--values", ",".join("0.%03d" % i for i in range(100, 170))]]
     same = folder / "same.out"
     bad += [["--sweep", "depth", "--csv", same, "--svg", same], ["--sweep", "depth", "--json", folder / "r.json", "--report", folder / "r.json"], ["--sweep", "depth", "-f", "--csv", cube]]
