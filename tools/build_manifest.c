@@ -52,7 +52,7 @@ static svo_result check_name(const char *name, svo_error *err)
 static char *option_text(const char *where, const char *name, const json_t *v, bool *none, svo_error *err)
 {
     static const char *const own[] = {"output", "report", "threads", "memory", "force", "depfile", "depfile-beside", "key", "shard", "dry-run", "quiet", "verbose",
-                                      "help", "version", "progress", "no-progress"};
+                                      "help", "version", "progress", "no-progress", "config", "no-config"};
     *none = json_is_false(v) || json_is_null(v);
     for (size_t i = 0; i < sizeof own / sizeof own[0]; i++)
         if (strcmp(own[i], name) == 0) {
@@ -296,6 +296,7 @@ char **build_arguments(const build_step *s, const char *tool_path, uint64_t thre
     a[n++] = text("--output=%s", s->output);
     a[n++] = text("--force");
     a[n++] = text("--quiet");
+    a[n++] = text("--no-config"); /* the manifest alone says what is made */
     if (s->kind == BUILD_VOXELIZE) a[n++] = text("--depfile=%s", s->depfile);
     if (bookkeeping) a[n++] = text("--report=%s", s->report);
     if (threads != 0) a[n++] = text("--threads=%llu", (unsigned long long)threads);

@@ -34,6 +34,9 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
                             .help = "Say how far long work is also where stderr is no terminal: a line a second."};
     out[n++] = (cli_option){.name = "no-progress", .kind = CLI_FLAG, .value = &c->no_progress,
                             .help = "No progress line at a terminal."};
+    out[n++] = (cli_option){.name = "config", .kind = CLI_TEXT, .value = &c->config, .argument = "FILE", .no_default = true,
+                            .help = "Take options from this file, not from that of SVOKIT_CONFIG or ~/.config/svokit.conf."};
+    out[n++] = (cli_option){.name = "no-config", .kind = CLI_FLAG, .value = &c->no_config, .help = "No options from a file or the environment: the command line alone."};
     out[n++] = (cli_option){.name = "help", .letter = 'h', .kind = CLI_FLAG, .value = help, .help = "Print this help; --help=man prints it as a manual page, --help=bash the completion of bash."};
     out[n++] = (cli_option){.name = "version", .kind = CLI_FLAG, .value = version, .help = "Print the version."};
     for (size_t i = 0; i < n; i++) out[i].group = "Common options";
@@ -91,6 +94,8 @@ static void release(cli *c)
     c->report_file = NULL;
     free(c->inputs);
     c->inputs = NULL;
+    free(c->settings);
+    c->settings = NULL;
     json_decref(c->json);
     c->json = NULL;
 }
@@ -170,7 +175,7 @@ typedef struct parser {
     cli *c;
     cli_option common[CLI_MAX_COMMON];
     size_t common_count;
-    char problem[600]; /* usage error, empty if none */
+    char problem[CLI_PROBLEM]; /* usage error, empty if none */
     bool no_report;    /* the error concerns the report's own name */
 } parser;
 
@@ -392,6 +397,9 @@ int cli_begin(cli *c, const cli_tool *tool, int argc, char **argv)
             return leave(c, 0, NULL, NULL);
         }
     }
+    svo_error err = {0};
+    if (!cli_settings(c, p.common, p.common_count, argc, argv, p.problem, &err))
+        return p.problem[0] != 0 ? usage_error(c, p.problem) : leave(c, svo_result_exit_code(err.code), err.message, svo_result_name(err.code));
     bool sound = parse_words(&p, argc, argv);
     if (help) { /* inside a bundle: -qh */
         cli_print_help(stdout, tool, p.common, p.common_count);
@@ -408,7 +416,6 @@ int cli_begin(cli *c, const cli_tool *tool, int argc, char **argv)
     cli_section(c, "errors");
     json_object_set_new(c->json, "phases", json_array());
     if (p.no_report) c->report = NULL;
-    svo_error err = {0};
     if (!cli_report_open(c, &err)) {
         c->report = NULL;
         return leave(c, svo_result_exit_code(err.code), err.message, svo_result_name(err.code));

@@ -62,7 +62,8 @@ typedef struct cli_tool {
 struct fmt_output;
 
 /* State of a run. Common options: -h --help, --version, -o --output, -f --force, -q --quiet, -v --verbose,
- * --threads N, --memory SIZE, --report R.json, --progress, --no-progress. `--` ends options. */
+ * --threads N, --memory SIZE, --report R.json, --progress, --no-progress, --config FILE, --no-config. `--` ends options. Options may also be set by a file and by
+ * the environment (docs/tools/common.md). */
 typedef struct cli {
     const cli_tool *tool;
     const char **inputs; /* point into argv; "-" is stdin */
@@ -78,6 +79,9 @@ typedef struct cli {
     double started, phase_started;
     const char *phase;
     /* private */
+    const char *config;
+    bool no_config;
+    char *settings; /* text of the configuration file: options point into it */
     struct fmt_output *report_file;
     double progress_at, progress_begin, progress_from; /* seconds; fraction at progress_begin */
     char progress_what[64];

@@ -6,13 +6,15 @@
 
 #include "cli.h"
 
-enum { CLI_MAX_COMMON = 12, CLI_MAX_EXIT_CODE = 7 };
+enum { CLI_MAX_COMMON = 14, CLI_MAX_EXIT_CODE = 7, CLI_PROBLEM = 600 };
 
 /* The common options, bound to c. Returns their number. help and version are bound to *help and *version. */
 size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_MAX_COMMON]);
 
 /* Parse the text of one value; false with a reason in why. */
 bool cli_parse_value(const cli_option *o, const char *text, char why[200]);
+/* Take options from the configuration file and the environment, before the command line is parsed. False: a usage error is in problem, or else *err has what failed. */
+bool cli_settings(cli *c, const cli_option *common, size_t common_count, int argc, char **argv, char problem[CLI_PROBLEM], svo_error *err);
 /* Text of an option's range ("0..21", "a|b|c"), empty when there is none, and of its present value. */
 void cli_range_text(const cli_option *o, char *out, size_t size);
 void cli_value_text(const cli_option *o, char *out, size_t size);

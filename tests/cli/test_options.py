@@ -6,7 +6,7 @@ import re
 import support
 from support import check, run, tool
 
-SHARED = {"output", "force", "threads", "memory", "report", "quiet", "verbose", "progress", "no-progress", "help", "version"}
+SHARED = {"output", "force", "threads", "memory", "report", "quiet", "verbose", "progress", "no-progress", "config", "no-config", "help", "version"}
 
 
 def tools():
