@@ -265,6 +265,13 @@ static void turn_bits(const uint64_t *mask, uint32_t n, uint32_t w, uint32_t can
     for (uint32_t q = 0; q < candidates; q++) out[q][w] = m[q];
 }
 
+static uint32_t count_left(const uint64_t *covers, const uint64_t *left, uint32_t words)
+{
+    uint32_t n = 0;
+    for (uint32_t w = 0; w < words; w++) n += (uint32_t)__builtin_popcountll(covers[w] & left[w]);
+    return n;
+}
+
 /* Fewer entries than clusters: from theirs and those between two of them, always the one that covers most of what is left. */
 static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_node *n)
 {
@@ -285,23 +292,28 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
         }
     svoi_palette_candidates(s, &all, &candidates);
     svoi_allowed(s, &candidates, s->allowed);
-    uint64_t covers[SVOI_LOSSY_ENTRIES][SVO_SUPERBLOCK / 64];
-    uint32_t words = (s->items + 63) / 64;
-    for (uint32_t w = 0; w < words; w++) turn_bits(s->allowed + 64 * w, s->items - 64 * w < 64 ? s->items - 64 * w : 64, w, all.entries, covers);
-    for (uint32_t left = s->items; left != 0;) {
-        uint32_t best = 0, most = 0;
-        for (uint32_t q = 0; q < all.entries; q++) {
-            uint32_t n2 = 0;
-            for (uint32_t w = 0; w < words; w++) n2 += (uint32_t)__builtin_popcountll(covers[q][w]);
-            if (n2 > most) most = n2, best = q;
+    uint64_t covers[SVOI_LOSSY_ENTRIES][SVO_SUPERBLOCK / 64], left[SVO_SUPERBLOCK / 64];
+    uint32_t words = (s->items + 63) / 64, most[SVOI_LOSSY_ENTRIES]; /* most: no fewer than it covers of what is left */
+    for (uint32_t w = 0; w < words; w++) {
+        uint32_t n2 = s->items - 64 * w < 64 ? s->items - 64 * w : 64;
+        turn_bits(s->allowed + 64 * w, n2, w, all.entries, covers);
+        left[w] = ~(uint64_t)0 >> (64 - n2);
+    }
+    for (uint32_t q = 0; q < all.entries; q++) most[q] = count_left(covers[q], left, words);
+    for (uint32_t rest = s->items; rest != 0;) {
+        uint32_t best = 0, count;
+        for (;;) { /* the first of those that cover most: counts only fall, so one that is still the most when counted anew is it */
+            best = 0;
+            for (uint32_t q = 1; q < all.entries; q++)
+                if (most[q] > most[best]) best = q;
+            count = count_left(covers[best], left, words);
+            if (count == most[best]) break;
+            most[best] = count;
         }
-        if (most == 0 || with.entries + 1 >= k) return;
+        if (count == 0 || with.entries + 1 >= k) return;
         with.entry[with.entries++] = all.entry[best];
-        left -= most;
-        uint64_t held[SVO_SUPERBLOCK / 64];
-        memcpy(held, covers[best], sizeof held);
-        for (uint32_t q = 0; q < all.entries; q++)
-            for (uint32_t w = 0; w < words; w++) covers[q][w] &= ~held[w];
+        rest -= count;
+        for (uint32_t w = 0; w < words; w++) left[w] &= ~covers[best][w];
     }
     svoi_palette_candidates(s, &with, &candidates);
     uint32_t entries = with.entries, width = width_of(entries);
@@ -338,6 +350,23 @@ static uint32_t least_bits(const svoi_lossy_state *s, uint32_t k)
     return SVOI_HEADER_BITS + k * s->table_bits + (plain < runs || k < 3 ? plain : runs);
 }
 
+/* Which cluster to cut: those that no entry holds first, the widest of these; 0: one item alone. */
+static uint32_t urgency(const cluster *c)
+{
+    uint32_t bits = 0;
+    float spread = c->spread > 0 ? c->spread : 0;
+    memcpy(&bits, &spread, sizeof bits); /* of floats that are not negative, in their order */
+    return c->high - c->low > 1 ? (bits + 1) | (uint32_t)!valid(c) << 31 : 0;
+}
+
+static uint32_t most_urgent(const uint32_t *urgent, uint32_t k)
+{
+    uint32_t most = 0, i = 0;
+    for (uint32_t j = 0; j < k; j++) most = urgent[j] > most ? urgent[j] : most;
+    while (urgent[i] != most) i++;
+    return i;
+}
+
 void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
 {
     if (s->t->count == 0 || (float)least_bits(s, 2) >= n->cost) return;
@@ -347,20 +376,16 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
     c[0] = (cluster){.low = 0, .high = s->items};
     measure(s, &c[0]);
     for (uint32_t i = 0; i < s->items; i++) s->label[s->item[i].id] = 0;
-    uint32_t k = 1, invalid = !valid(&c[0]);
+    uint32_t k = 1, invalid = !valid(&c[0]), urgent[SVOI_LOSSY_ENTRIES] = {urgency(&c[0])};
     uint8_t saved[SVO_SUPERBLOCK];
     bool covered = false;
     while (k < SVOI_LOSSY_ENTRIES) {
-        uint32_t pick = k;
-        for (uint32_t i = 0; i < k; i++)
-            if (c[i].high - c[i].low > 1 &&
-                (pick == k || valid(&c[i]) < valid(&c[pick]) || (valid(&c[i]) == valid(&c[pick]) && c[i].spread > c[pick].spread)))
-                pick = i;
-        if (pick == k || (invalid != 0 && valid(&c[pick]))) return; /* an entry alone is not within the bound */
-        if (invalid == 0 && !(total_cost(c, k) > 0)) return;
+        uint32_t pick = most_urgent(urgent, k);
+        if (urgent[pick] == 0 || (invalid != 0 && valid(&c[pick]))) return; /* an entry alone is not within the bound */
         bool was_valid = valid(&c[pick]);
         if (!cut(s, &c[pick], &c[k])) {
             c[pick].spread = 0;
+            urgent[pick] = urgency(&c[pick]);
             if (!was_valid) return;
             bool more = false;
             for (uint32_t i = 0; i < k; i++) more = more || c[i].spread > 0;
@@ -369,6 +394,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
         }
         measure(s, &c[pick]);
         measure(s, &c[k]);
+        urgent[pick] = urgency(&c[pick]), urgent[k] = urgency(&c[k]);
         for (uint32_t i = c[k].low; i < c[k].high; i++) s->label[s->item[i].id] = (uint8_t)k;
         invalid = invalid - !was_valid + !valid(&c[pick]) + !valid(&c[k]);
         k++;
@@ -388,6 +414,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
             keep_entries(n, c, k);
         }
         if (k > 2 && worth_trying_runs(k)) try_runs(s, c, k, error, n);
+        if (!(error > 0)) return;
     }
 }
 

@@ -1,7 +1,7 @@
 /* Blocks within a bound: each dyadic range gets the cheapest of several kinds, cost being bits plus the worth of the
  * error; then the cheapest partition bottom-up. A range is not looked at when no kind could beat its halves. */
 #include <math.h>
-#ifdef __SSE__
+#ifdef __AVX2__
 #include <immintrin.h>
 #endif
 
@@ -25,15 +25,26 @@ static void lossy_destroy(void *state, const svo_allocator *a) { svo_free(a, sta
 static void know_value(svoi_lossy_state *s, uint32_t id, uint32_t value)
 {
     const svoi_points *t = s->t;
+    svoi_known *k = &s->known[(value * 2654435761u) >> (32 - SVOI_KNOWN_BITS)];
+    if (!k->is || k->value != value) { /* much the same values come back in superblock after superblock */
+        k->is = true;
+        k->value = value;
+        k->point = svoi_point_of(t->kind, t->squares, value);
+        k->weights = svoi_weights_of(t->kind, t->squares, &k->point);
+        k->check = t->squares ? svoi_point_of(t->kind, false, value) : k->point;
+        k->check_weights = t->squares ? svoi_weights_of(t->kind, false, &k->check) : k->weights;
+        k->own = svoi_table_index(s->e, value);
+        if (k->own == SVOI_NO_INDEX && t->kind == SVO_KIND_NORMAL_OCT32) k->own = svoi_table_index(s->e, svo_quantize_normal(value, 12));
+        if (k->own == SVOI_NO_INDEX && t->count != 0) k->own = svoi_near(t, &s->near, k->point.x);
+        k->own_fits = t->count != 0 && svoi_distance2(&k->check, k->check_weights, &t->check[k->own]) <= t->bound2;
+    }
     s->value[id] = value;
-    s->point[id] = svoi_point_of(t->kind, t->squares, value);
-    s->weights[id] = svoi_weights_of(t->kind, t->squares, &s->point[id]);
-    s->check[id] = t->squares ? svoi_point_of(t->kind, false, value) : s->point[id];
-    s->check_weights[id] = t->squares ? svoi_weights_of(t->kind, false, &s->check[id]) : s->weights[id];
-    s->own[id] = svoi_table_index(s->e, value);
-    if (s->own[id] == SVOI_NO_INDEX && t->kind == SVO_KIND_NORMAL_OCT32) s->own[id] = svoi_table_index(s->e, svo_quantize_normal(value, 12));
-    if (s->own[id] == SVOI_NO_INDEX && t->count != 0) s->own[id] = svoi_near(t, &s->near, s->point[id].x);
-    s->own_fits[id] = t->count != 0 && svoi_distance2(&s->check[id], s->check_weights[id], &t->check[s->own[id]]) <= t->bound2;
+    s->point[id] = k->point;
+    s->weights[id] = k->weights;
+    s->check[id] = k->check;
+    s->check_weights[id] = k->check_weights;
+    s->own[id] = k->own;
+    s->own_fits[id] = k->own_fits;
 }
 
 static void know_values(svoi_lossy_state *s, const uint32_t *v)
@@ -124,12 +135,13 @@ static void item_squares(const svoi_lossy_state *s, const svoi_item *it, const s
         }
 }
 
-/* Bit q: number q of `count` is at most `most`. */
-#ifdef __SSE__
+/* Bit q: number q of `count` (a multiple of SVOI_LANES) is at most `most`. */
+#ifdef __AVX2__
 static uint64_t at_most(const float *x, uint32_t count, float most)
 {
     uint64_t mask = 0;
-    for (uint32_t i = 0; i < count; i += 4) mask |= (uint64_t)(uint32_t)_mm_movemask_ps(_mm_cmple_ps(_mm_loadu_ps(x + i), _mm_set1_ps(most))) << i;
+    for (uint32_t i = 0; i < count; i += 8)
+        mask |= (uint64_t)(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(_mm256_loadu_ps(x + i), _mm256_set1_ps(most), _CMP_LE_OQ)) << i;
     return mask;
 }
 #else
@@ -141,22 +153,28 @@ static uint64_t at_most(const float *x, uint32_t count, float most)
 }
 #endif
 
-/* The least of the lanes, which are used up. */
-static float fold(float lane[SVOI_LANES])
+#ifdef __AVX2__
+static inline float fold(__m256 v)
 {
-    for (uint32_t half = SVOI_LANES / 2; half != 0; half /= 2)
-        for (uint32_t j = 0; j < half; j++) lane[j] = lane[j + half] < lane[j] ? lane[j + half] : lane[j];
-    return lane[0];
+    __m128 m = _mm_min_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps(v, 1));
+    m = _mm_min_ps(m, _mm_movehl_ps(m, m));
+    return _mm_cvtss_f32(_mm_min_ss(m, _mm_shuffle_ps(m, m, 1)));
 }
 
 static float least_of(const float *x, uint32_t count)
 {
-    float lane[SVOI_LANES];
-    for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[j];
-    for (uint32_t i = SVOI_LANES; i < count; i += SVOI_LANES)
-        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = x[i + j] < lane[j] ? x[i + j] : lane[j];
-    return fold(lane);
+    __m256 least = _mm256_loadu_ps(x);
+    for (uint32_t i = 8; i < count; i += 8) least = _mm256_min_ps(least, _mm256_loadu_ps(x + i));
+    return fold(least);
 }
+#else
+static float least_of(const float *x, uint32_t count)
+{
+    float least = x[0];
+    for (uint32_t i = 1; i < count; i++) least = x[i] < least ? x[i] : least;
+    return least;
+}
+#endif
 
 static uint32_t padded(uint32_t count) { return (count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1); }
 
@@ -197,84 +215,98 @@ static void trace_runs(const svoi_lossy_state *s, uint32_t last, uint32_t *numbe
     }
 }
 
-/* Rows of `error`: squared errors of each item with each candidate; masks of those within the bound in `allowed`. */
-static void item_rows(svoi_lossy_state *s, const svoi_candidates *c, uint32_t k)
+/* Cost of an item with each of `count` candidates (INFINITY: not within the bound); those within it in *allowed; returns the least. */
+static float item_costs(const svoi_lossy_state *s, const svoi_item *it, const svoi_candidates *c, uint32_t count, float *restrict cost, uint64_t *allowed)
 {
-    for (uint32_t i = 0; i < s->items; i++) {
-        s->row[s->item[i].id] = (uint16_t)i;
-        item_squares(s, &s->item[i], c, k, s->error[i]);
-        s->allowed[i] = at_most(s->error[i], k, 1e30f);
-    }
-}
-
-/* From squared errors to costs; the least of each row in `least`. */
-static void item_costs(svoi_lossy_state *s, uint32_t k, float *least)
-{
+    item_squares(s, it, c, count, cost);
+    *allowed = at_most(cost, count, 1e30f);
     float price = s->t->price;
-    for (uint32_t i = 0; i < s->items; i++) {
-        float *error = s->error[i], lane[SVOI_LANES];
-        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = INFINITY;
-        for (uint32_t q = 0; q < k; q += SVOI_LANES)
-            for (uint32_t j = 0; j < SVOI_LANES; j++) { /* where the square is not finite, nor is the root */
-                float e = s->t->squares ? error[q + j] : __builtin_sqrtf(error[q + j]);
-                e = error[q + j] < INFINITY ? price * e : INFINITY;
-                error[q + j] = e;
-                lane[j] = e < lane[j] ? e : lane[j];
-            }
-        least[i] = fold(lane);
+#ifdef __AVX2__
+    const __m256 prices = _mm256_set1_ps(price), none = _mm256_set1_ps(INFINITY), large = _mm256_set1_ps(1e30f);
+    __m256 least = none;
+    for (uint32_t q = 0; q < count; q += 8) {
+        __m256 square = _mm256_loadu_ps(cost + q), e = _mm256_mul_ps(prices, s->t->squares ? square : _mm256_sqrt_ps(square));
+        e = _mm256_blendv_ps(none, e, _mm256_cmp_ps(square, large, _CMP_LE_OQ));
+        _mm256_storeu_ps(cost + q, e);
+        least = _mm256_min_ps(least, e);
     }
+    return fold(least);
+#else
+    float least = INFINITY;
+    for (uint32_t q = 0; q < count; q++) {
+        float e = s->t->squares ? cost[q] : __builtin_sqrtf(cost[q]);
+        cost[q] = cost[q] <= 1e30f ? price * e : INFINITY;
+        least = cost[q] < least ? cost[q] : least;
+    }
+    return least;
+#endif
 }
 
 /* tail[r]: what runs r and later add at least to the cost up to the run before: their least errors, and `width` bits
  * for each change that they cannot do without. Greedy from the end, a run of numbers as long as one candidate allows. */
-static void fill_tails(svoi_lossy_state *s, const float *least, uint32_t width)
+static void fill_tails(svoi_lossy_state *s, const uint16_t *row, const float *least, uint32_t width)
 {
     uint64_t together = 0;
     float changes = 0, errors = 0;
     s->tail[s->runs] = 0;
     for (uint32_t r = s->runs; r-- > 0;) {
-        uint32_t row = s->row[s->run_id[r]];
-        if ((together & s->allowed[row]) == 0) {
+        uint64_t allowed = s->allowed[row[r]];
+        if ((together & allowed) == 0) {
             if (together != 0) changes += (float)width; /* the run behind begins with a change, whatever is before it */
             together = ~(uint64_t)0;
         }
-        together &= s->allowed[row];
-        if (least != NULL) errors += least[row] * s->run_length[r];
+        together &= allowed;
+        errors += least[row[r]] * s->run_length[r];
         s->tail[r] = (changes + errors) * 0.9999f; /* sums differ by their order */
     }
+}
+
+/* One run more: costs up to it by its number, given those up to the run before and their least with a change; returns the least. */
+static inline float add_run(float *restrict cost, const float *restrict error, uint32_t k, float times, float change)
+{
+#ifdef __AVX2__
+    const __m256 changes = _mm256_set1_ps(change), lengths = _mm256_set1_ps(times);
+    __m256 least = _mm256_set1_ps(INFINITY);
+    for (uint32_t q = 0; q < k; q += 8) {
+        __m256 now = _mm256_add_ps(_mm256_min_ps(changes, _mm256_loadu_ps(cost + q)), _mm256_mul_ps(_mm256_loadu_ps(error + q), lengths));
+        _mm256_storeu_ps(cost + q, now);
+        least = _mm256_min_ps(least, now);
+    }
+    return fold(least);
+#else
+    float least = INFINITY;
+    for (uint32_t q = 0; q < k; q++) {
+        float kept = change < cost[q] ? change : cost[q], now = kept + error[q] * times;
+        cost[q] = now;
+        least = now < least ? now : least;
+    }
+    return least;
+#endif
 }
 
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, float limit, uint32_t *number)
 {
     uint32_t k = padded(c->count);
     float cost[SVOI_LOSSY_ENTRIES], least = 0, item_least[SVO_SUPERBLOCK];
-    item_rows(s, c, k);
-    if (limit < INFINITY) {
-        fill_tails(s, NULL, width);
-        if (!(s->tail[0] + (float)width < limit)) return INFINITY;
+    uint16_t row[SVO_SUPERBLOCK]; /* of each run */
+    for (uint32_t i = 0; i < s->items; i++) {
+        s->row[s->item[i].id] = (uint16_t)i;
+        item_least[i] = item_costs(s, &s->item[i], c, k, s->error[i], &s->allowed[i]);
     }
-    item_costs(s, k, item_least);
+    for (uint32_t r = 0; r < s->runs; r++) row[r] = s->row[s->run_id[r]];
     if (limit < INFINITY) {
-        fill_tails(s, item_least, width);
+        fill_tails(s, row, item_least, width);
         if (!(s->tail[0] + (float)width < limit)) return INFINITY;
     }
     uint32_t from = 0;
     for (uint32_t q = 0; q < k; q++) cost[q] = INFINITY;
     for (uint32_t r = 0; r < s->runs; r++) {
-        const float *error = s->error[s->row[s->run_id[r]]];
-        float times = s->run_length[r], change = least + (float)width, lane[SVOI_LANES];
+        float change = least + (float)width;
         if (number != NULL) {
             s->changed[r] = ~at_most(cost, k, change);
             s->before[r] = (uint8_t)from;
         }
-        for (uint32_t j = 0; j < SVOI_LANES; j++) lane[j] = INFINITY;
-        for (uint32_t q = 0; q < k; q += SVOI_LANES)
-            for (uint32_t j = 0; j < SVOI_LANES; j++) {
-                float kept = change < cost[q + j] ? change : cost[q + j], now = kept + error[q + j] * times;
-                cost[q + j] = now;
-                lane[j] = now < lane[j] ? now : lane[j];
-            }
-        least = fold(lane);
+        least = add_run(cost, s->error[row[r]], k, s->run_length[r], change);
         if (!(least + (limit < INFINITY ? s->tail[r + 1] : 0) < limit)) return INFINITY;
         if (number != NULL) {
             from = 0;

@@ -57,41 +57,62 @@ svoi_weights svoi_weights_of(svo_channel_kind kind, bool rgb, const svoi_point *
 
 static uint64_t first_above(const svoi_points *t, float x)
 {
+    const float *sorted = t->sorted[0] + SVOI_NEAR_STEP;
     uint64_t low = 0, high = t->count;
     while (low < high) {
         uint64_t middle = (low + high) / 2;
-        if (t->table[t->order[middle]].x[0] < x) low = middle + 1;
+        if (sorted[middle] < x) low = middle + 1;
         else high = middle;
     }
     return low;
 }
 
-static void keep(svoi_near_cell *c, float *distance, uint32_t entry, float d)
+/* The nearest so far, nearest first. */
+typedef struct nearest { float distance[SVOI_NEAR]; uint64_t at[SVOI_NEAR]; } nearest;
+
+static void keep(nearest *n, uint64_t at, float d)
 {
-    if (c->count == SVOI_NEAR && !(d < distance[SVOI_NEAR - 1])) return;
-    uint32_t i = c->count < SVOI_NEAR ? c->count++ : SVOI_NEAR - 1;
-    for (; i > 0 && d < distance[i - 1]; i--) distance[i] = distance[i - 1], c->entry[i] = c->entry[i - 1];
-    distance[i] = d;
-    c->entry[i] = entry;
+    uint32_t i = SVOI_NEAR - 1;
+    for (; i > 0 && d < n->distance[i - 1]; i--) n->distance[i] = n->distance[i - 1], n->at[i] = n->at[i - 1];
+    n->distance[i] = d;
+    n->at[i] = at;
 }
 
-/* The entries nearest to the middle of a cell: outward from it along the first axis. */
+/* Look at entries [at, at + SVOI_NEAR_STEP) in the order along the first axis, counted from the padding. */
+static void look_at(const svoi_points *t, uint64_t at, const svoi_point *middle, svoi_weights w, nearest *n)
+{
+    float d2[SVOI_NEAR_STEP], x0 = middle->x[0], x1 = middle->x[1], x2 = middle->x[2];
+    const float *s0 = t->sorted[0] + at, *s1 = t->sorted[1] + at, *s2 = t->sorted[2] + at;
+    for (uint32_t i = 0; i < SVOI_NEAR_STEP; i++) {
+        float a = x0 - s0[i], b = x1 - s1[i], c = x2 - s2[i];
+        d2[i] = a * a + w.wh * (b * b + c * c);
+    }
+    uint32_t closer = 0;
+    for (uint32_t i = 0; i < SVOI_NEAR_STEP; i++) closer |= (uint32_t)(d2[i] < n->distance[SVOI_NEAR - 1]) << i;
+    for (; closer != 0; closer &= closer - 1) {
+        uint32_t i = (uint32_t)__builtin_ctz(closer);
+        if (d2[i] < n->distance[SVOI_NEAR - 1]) keep(n, at + i, d2[i]);
+    }
+}
+
+/* The entries nearest to the middle of a cell: outward from it along the first axis. Chroma and hue weigh the same here, between the two. */
 static void fill_cell(const svoi_points *t, svoi_near_cell *c, const svoi_point *middle)
 {
     svoi_weights w = svoi_weights_of(t->kind, t->squares, middle);
-    w.wh += w.wd / 2; /* between the weights of chroma and of hue */
-    w.wd = 0;
-    float distance[SVOI_NEAR];
-    c->count = 0;
-    uint64_t up = first_above(t, middle->x[0]), down = up;
-    while (up < t->count || down > 0) {
-        float above = up < t->count ? t->table[t->order[up]].x[0] - middle->x[0] : INFINITY;
-        float below = down > 0 ? middle->x[0] - t->table[t->order[down - 1]].x[0] : INFINITY;
-        float nearest = above < below ? above : below;
-        if (c->count == SVOI_NEAR && nearest * nearest >= distance[SVOI_NEAR - 1]) break;
-        uint32_t entry = t->order[above < below ? up++ : --down];
-        keep(c, distance, entry, svoi_distance2(middle, w, &t->table[entry]));
+    w.wh += w.wd / 2;
+    nearest n;
+    for (int i = 0; i < SVOI_NEAR; i++) n.distance[i] = INFINITY, n.at[i] = UINT64_MAX;
+    uint64_t up = first_above(t, middle->x[0]) + SVOI_NEAR_STEP, down = up;
+    for (;;) { /* the padding is infinitely far away */
+        float above = t->sorted[0][up] - middle->x[0], below = middle->x[0] - t->sorted[0][down - 1];
+        bool upwards = above < below;
+        float gap = upwards ? above : below;
+        if (gap * gap >= n.distance[SVOI_NEAR - 1] || !(gap < INFINITY)) break;
+        if (!upwards) down -= SVOI_NEAR_STEP < down ? SVOI_NEAR_STEP : down;
+        look_at(t, upwards ? up : down, middle, w, &n);
+        if (upwards) up = up + SVOI_NEAR_STEP < t->count + SVOI_NEAR_STEP ? up + SVOI_NEAR_STEP : t->count + SVOI_NEAR_STEP;
     }
+    for (int i = 0; i < SVOI_NEAR; i++) c->entry[i] = (uint16_t)t->order[n.at[n.at[i] != UINT64_MAX ? i : 0] - SVOI_NEAR_STEP];
 }
 
 uint32_t svoi_near(const svoi_points *t, svoi_near_cache *cache, const float p[3])
@@ -103,11 +124,11 @@ uint32_t svoi_near(const svoi_points *t, svoi_near_cache *cache, const float p[3
         for (int i = 0; i < 3 && l > 0; i++) at.x[i] = p[i] * (57.29577951f / l);
     }
     for (int i = 0; i < 3; i++) {
-        int32_t cell = (int32_t)floorf(at.x[i] / t->cell);
+        int32_t cell = (int32_t)floorf(at.x[i] * t->per_cell);
         middle.x[i] = ((float)cell + 0.5f) * t->cell;
         key = key << 16 | (uint32_t)(cell & 0xffff);
     }
-    svoi_near_cell *c = &cache->cell[(key * 0x9e3779b97f4a7c15u) >> 49];
+    svoi_near_cell *c = &cache->cell[(key * 0x9e3779b97f4a7c15u) >> (64 - SVOI_NEAR_BITS)];
     if (c->key != key) {
         if (t->kind == SVO_KIND_COLOR_SRGB8 && !t->squares) middle.x[3] = sqrtf(middle.x[1] * middle.x[1] + middle.x[2] * middle.x[2]);
         c->key = key;
@@ -117,7 +138,7 @@ uint32_t svoi_near(const svoi_points *t, svoi_near_cache *cache, const float p[3
     svoi_weights w = svoi_weights_of(t->kind, t->squares, &at);
     uint32_t best = c->entry[0];
     float least = INFINITY;
-    for (uint32_t i = 0; i < c->count; i++) {
+    for (uint32_t i = 0; i < SVOI_NEAR; i++) {
         float d = svoi_distance2(&at, w, &t->table[c->entry[i]]);
         if (d < least) least = d, best = c->entry[i];
     }
@@ -151,11 +172,13 @@ svo_result svoi_lossy_prepare(svoi_encoder *e, svo_error *err)
     if (bound < 0) bound = 0;
     if (j->kind == SVO_KIND_NORMAL_OCT32) bound = 2 * sin((bound < 180 ? bound : 180) / 2 / 57.29577951308232) * 57.29577951308232;
     t->bound2 = (float)(bound * bound);
+    t->per_cell = 1 / t->cell;
     t->table = svo_alloc(a, t->count, sizeof *t->table);
     t->order = svo_alloc(a, t->count, sizeof *t->order);
     t->check = t->squares ? svo_alloc(a, t->count, sizeof *t->check) : t->table;
+    for (int k = 0; k < 3; k++) t->sorted[k] = svo_alloc(a, t->count + 2 * SVOI_NEAR_STEP, sizeof *t->sorted[k]);
     sorted *s = svo_alloc(a, t->count, sizeof *s);
-    if (t->count != 0 && (t->table == NULL || t->order == NULL || t->check == NULL || s == NULL)) {
+    if (t->count != 0 && (t->sorted[0] == NULL || t->sorted[1] == NULL || t->sorted[2] == NULL || t->table == NULL || t->order == NULL || t->check == NULL || s == NULL)) {
         svo_free(a, s, t->count, sizeof *s);
         return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)"); /* svoi_lossy_release frees the rest */
     }
@@ -166,6 +189,11 @@ svo_result svoi_lossy_prepare(svoi_encoder *e, svo_error *err)
     }
     if (t->count != 0) qsort(s, (size_t)t->count, sizeof *s, compare_sorted);
     for (uint64_t i = 0; i < t->count; i++) t->order[i] = s[i].entry;
+    for (int k = 0; k < 3 && t->count != 0; k++)
+        for (uint64_t i = 0; i < t->count + 2 * SVOI_NEAR_STEP; i++) {
+            bool before = i < SVOI_NEAR_STEP, behind = i >= t->count + SVOI_NEAR_STEP;
+            t->sorted[k][i] = before || behind ? (k == 0 ? (before ? -INFINITY : INFINITY) : 0) : t->table[t->order[i - SVOI_NEAR_STEP]].x[k];
+        }
     svo_free(a, s, t->count, sizeof *s);
     return SVO_OK;
 }
@@ -178,6 +206,7 @@ void svoi_lossy_release(svoi_encoder *e)
     if (t->check != t->table) svo_free(a, t->check, t->count, sizeof *t->check);
     svo_free(a, t->table, t->count, sizeof *t->table);
     svo_free(a, t->order, t->count, sizeof *t->order);
+    for (int k = 0; k < 3; k++) svo_free(a, t->sorted[k], t->count + 2 * SVOI_NEAR_STEP, sizeof *t->sorted[k]);
     svo_free(a, t, 1, sizeof *t);
     e->points = NULL;
 }

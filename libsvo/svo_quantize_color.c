@@ -128,24 +128,6 @@ static void cut(cluster *k)
 
 /* --- k-means ------------------------------------------------------------------------------------------------------ */
 
-static double distance2(const float a[3], const float b[3])
-{
-    double x = (double)a[0] - b[0], y = (double)a[1] - b[1], z = (double)a[2] - b[2];
-    return x * x + y * y + z * z;
-}
-
-/* Distances from a box [low, high] to a point: the least, and the greatest, squared. */
-static void box_distances(const double low[3], const double high[3], const float p[3], double *least, double *most)
-{
-    *least = *most = 0;
-    for (int i = 0; i < 3; i++) {
-        double a = low[i] - p[i], b = p[i] - high[i], d = a > 0 ? a : b > 0 ? b : 0;
-        double far = -a > -b ? -a : -b; /* p - low, high - p */
-        *least += d * d;
-        *most += far * far;
-    }
-}
-
 /* Colours of a node of the tree. */
 static void node_range(const cluster *k, uint32_t level, uint64_t place, uint64_t *begin, uint64_t *end)
 {
@@ -153,43 +135,68 @@ static void node_range(const cluster *k, uint32_t level, uint64_t place, uint64_
     *end = (place + 1) * k->c->count >> level;
 }
 
-/* Colours [begin, end) of `sorted`: the nearest of these centers. Ties: the smaller number. */
-static void assign_leaf(cluster *k, uint64_t begin, uint64_t end, const uint32_t *near, uint32_t candidates)
+/* Centers that may be nearest, component by component, ascending numbers. */
+typedef struct candidates {
+    float *x[3];
+    uint32_t *number;
+    double *least; /* scratch */
+} candidates;
+
+/* Colours [begin, end) of `sorted`: the nearest of `count` candidates. Ties: the smaller number. */
+static void assign_leaf(cluster *k, uint64_t begin, uint64_t end, const candidates *near, uint32_t count)
 {
     for (uint64_t i = begin; i < end; i++) {
         const float *lab = k->c->lab[k->sorted[i]];
-        double best = INFINITY;
-        for (uint32_t m = 0; m < candidates; m++) {
-            double d = distance2(lab, k->center[near[m]]);
-            if (d < best) best = d, k->own[k->sorted[i]] = near[m];
+        double best = INFINITY, a = lab[0], b = lab[1], c = lab[2];
+        uint32_t own = 0;
+        for (uint32_t m = 0; m < count; m++) {
+            double x = a - near->x[0][m], y = b - near->x[1][m], z = c - near->x[2][m], d = x * x + y * y + z * z;
+            if (d < best) best = d, own = m;
         }
+        k->own[k->sorted[i]] = near->number[own];
     }
 }
 
-/* The nearest center of every colour below a node, exactly: on the way down only those centers are kept that can be
- * nearest to some point of the node's box (Kanungo et al. 2002). near[count] is given; space behind it is scratch. */
-static void assign_node(cluster *k, uint32_t level, uint64_t place, uint32_t *near, uint32_t candidates)
+/* Squared distances from a box to `count` points: the least to each, and the least of the greatest. */
+static double box_distances(const bounds *b, const candidates *near, uint32_t count, double *restrict least)
 {
-    const bounds *b = &k->node[((uint64_t)1 << level) - 1 + place];
+    double low[3], high[3], bound = INFINITY;
+    for (int j = 0; j < 3; j++) low[j] = b->low[j], high[j] = b->high[j];
+    for (uint32_t m = 0; m < count; m++) {
+        double close = 0, away = 0;
+        for (int j = 0; j < 3; j++) {
+            double p = near->x[j][m], below = low[j] - p, above = p - high[j], d = below > above ? below : above;
+            double far = -below > -above ? -below : -above; /* p - low, high - p */
+            d = d > 0 ? d : 0;
+            close += d * d;
+            away += far * far;
+        }
+        least[m] = close;
+        bound = away < bound ? away : bound;
+    }
+    return bound;
+}
+
+/* The nearest center of every colour below a node, exactly: on the way down only those centers are kept that can be
+ * nearest to some point of the node's box (Kanungo et al. 2002). near's `count` are given; space behind them is scratch. */
+static void assign_node(cluster *k, uint32_t level, uint64_t place, const candidates *near, uint32_t count)
+{
     uint64_t begin, end;
     node_range(k, level, place, &begin, &end);
-    double low[3], high[3], bound = INFINITY, least, most;
-    for (int j = 0; j < 3; j++) low[j] = b->low[j], high[j] = b->high[j];
-    for (uint32_t m = 0; m < candidates; m++) {
-        box_distances(low, high, k->center[near[m]], &least, &most);
-        if (most < bound) bound = most;
+    double bound = box_distances(&k->node[((uint64_t)1 << level) - 1 + place], near, count, near->least) * (1 + 1e-9);
+    candidates kept = {{near->x[0] + count, near->x[1] + count, near->x[2] + count}, near->number + count, near->least};
+    uint32_t n = 0;
+    for (uint32_t m = 0; m < count; m++) {
+        for (int j = 0; j < 3; j++) kept.x[j][n] = near->x[j][m];
+        kept.number[n] = near->number[m];
+        n += near->least[m] <= bound;
     }
-    uint32_t *kept = near + candidates, count = 0;
-    for (uint32_t m = 0; m < candidates; m++) {
-        box_distances(low, high, k->center[near[m]], &least, &most);
-        if (least <= bound * (1 + 1e-9)) kept[count++] = near[m];
-    }
-    if (level == k->levels || count == 1) {
-        assign_leaf(k, begin, end, kept, count);
+    if (level == k->levels || n == 1) {
+        assign_leaf(k, begin, end, &kept, n);
         return;
     }
-    assign_node(k, level + 1, 2 * place, kept, count);
-    assign_node(k, level + 1, 2 * place + 1, kept, count);
+    assign_node(k, level + 1, 2 * place, &kept, n);
+    assign_node(k, level + 1, 2 * place + 1, &kept, n);
 }
 
 enum { TASK_LEVEL = 6, LEAF = 8 };
@@ -198,14 +205,27 @@ static svo_result assign(void *user, uint64_t begin, uint64_t end, uint32_t work
 {
     (void)worker;
     cluster *k = user;
-    uint64_t space = (uint64_t)k->count * (k->levels + 2);
-    uint32_t *near = svo_alloc(k->c->a, space, sizeof *near);
-    if (near == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (colours)");
-    for (uint32_t m = 0; m < k->count; m++) near[m] = m;
-    uint32_t level = k->levels < TASK_LEVEL ? k->levels : TASK_LEVEL;
-    for (uint64_t place = begin; place < end; place++) assign_node(k, level, place, near, k->count);
-    svo_free(k->c->a, near, space, sizeof *near);
-    return SVO_OK;
+    const svo_allocator *a = k->c->a;
+    uint64_t space = (uint64_t)k->count * (k->levels + 2) + 1; /* what is not kept is written, too */
+    candidates near;
+    for (int j = 0; j < 3; j++) near.x[j] = svo_alloc(a, space, sizeof *near.x[j]);
+    near.number = svo_alloc(a, space, sizeof *near.number);
+    near.least = svo_alloc(a, k->count, sizeof *near.least);
+    svo_result r = near.x[0] == NULL || near.x[1] == NULL || near.x[2] == NULL || near.number == NULL || near.least == NULL
+                       ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (colours)")
+                       : SVO_OK;
+    if (r == SVO_OK) {
+        for (uint32_t m = 0; m < k->count; m++) {
+            near.number[m] = m;
+            for (int j = 0; j < 3; j++) near.x[j][m] = k->center[m][j];
+        }
+        uint32_t level = k->levels < TASK_LEVEL ? k->levels : TASK_LEVEL;
+        for (uint64_t place = begin; place < end; place++) assign_node(k, level, place, &near, k->count);
+    }
+    for (int j = 0; j < 3; j++) svo_free(a, near.x[j], space, sizeof *near.x[j]);
+    svo_free(a, near.number, space, sizeof *near.number);
+    svo_free(a, near.least, k->count, sizeof *near.least);
+    return r;
 }
 
 typedef struct keyed { uint64_t key; uint32_t color; } keyed;

@@ -22,6 +22,15 @@ typedef struct svoi_node {
     svo_lattice lattice;
 } svoi_node;
 
+/* What was found out about a value: a pure function of it. */
+enum { SVOI_KNOWN_BITS = 11 };
+typedef struct svoi_known {
+    svoi_point point, check;
+    svoi_weights weights, check_weights;
+    uint32_t value, own;
+    bool own_fits, is;
+} svoi_known;
+
 typedef struct svoi_lossy_state {
     const svoi_encoder *e;
     const svoi_points *t;
@@ -51,6 +60,7 @@ typedef struct svoi_lossy_state {
     uint32_t stamp;
     struct { uint32_t stamp, key, value; } slot[SVOI_SEEN];
     svoi_near_cache near;
+    svoi_known known[1 << SVOI_KNOWN_BITS];
 } svoi_lossy_state;
 
 /* Candidates that numbers stand for: palette entries, or points of a line. Component by component, so that one item is

@@ -16,10 +16,11 @@ typedef struct svoi_points {
     bool squares;        /* costs are squared differences of sRGB bytes, the bound is in CIE94 */
     float bound2;        /* squared */
     float price;         /* bits a unit of cost */
-    float cell;          /* edge of the cells of svoi_near */
+    float cell, per_cell; /* edge of the cells of svoi_near; 1 / edge */
     svoi_point *table;   /* where costs are measured */
     svoi_point *check;   /* where the bound is measured: `table` but with squares */
     uint32_t *order;     /* of the table by x[0] */
+    float *sorted[3];    /* components in this order, with SVOI_NEAR_STEP infinitely far ones before and behind */
     uint64_t count;
 } svoi_points;
 
@@ -33,9 +34,9 @@ static inline float svoi_distance2(const svoi_point *p, svoi_weights w, const sv
 }
 
 /* What was found for a cell; a pure function of the cell, so each worker may have its own. */
-enum { SVOI_NEAR = 4, SVOI_NEAR_SLOTS = 1 << 15 };
-typedef struct svoi_near_cell { uint64_t key; uint32_t count, entry[SVOI_NEAR]; } svoi_near_cell;
-typedef struct svoi_near_cache { svoi_near_cell cell[SVOI_NEAR_SLOTS]; } svoi_near_cache;
+enum { SVOI_NEAR = 4, SVOI_NEAR_STEP = 8, SVOI_NEAR_BITS = 14 };
+typedef struct svoi_near_cell { uint64_t key; uint16_t entry[SVOI_NEAR]; } svoi_near_cell; /* tables have fewer than 2^16 entries here */
+typedef struct svoi_near_cache { svoi_near_cell cell[1 << SVOI_NEAR_BITS]; } svoi_near_cache;
 
 /* An entry of the table (which is not empty) that is near `p`. x[3] of p may be anything. */
 uint32_t svoi_near(const svoi_points *t, svoi_near_cache *cache, const float p[3]);
