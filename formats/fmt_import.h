@@ -23,7 +23,7 @@ typedef struct fmt_import_options {
     void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
     void *file_read_user;
     /* Where a mesh goes that does not fit in `memory` bytes (0 = no limit) beside its builder: its parts are spilled then
-     * (svo_soup.h). Works for OBJ, PLY, STL and OFF; other formats are read into memory. NULL: never. */
+     * (svo_soup.h). Works for all but .drc and the parts of a glTF file that Draco packed, which are read into memory. NULL: never. */
     const svo_spill *spill;
     uint64_t memory;
     /* Where the nodes, skins and animations of a glTF file go; zeroed before, freed by the caller. Meshes with a skin then keep the
@@ -36,8 +36,7 @@ typedef struct fmt_import_options {
 
 /* Format by content first, then by extension: .gltf .glb .obj .ply .stl .off .drc. Unknown = SVO_UNSUPPORTED; a file
  * that breaks its format's rules in a way that would give a wrong mesh = SVO_INVALID_DATA; a missing file = SVO_IO.
- * A mesh without triangles is not an error (it warns). What is ignored (skins, morph targets, animations,
- * textures that are missing ...) is named in a warning. A required glTF extension that is not supported is
+ * A mesh without triangles is not an error (it warns). What is ignored (textures that are missing, points and lines ...) is named in a warning. A required glTF extension that is not supported is
  * SVO_UNSUPPORTED. A file (also one referred to) that changes while the import reads is SVO_IO. Files referred to are looked for beside `path` only; paths that leave that folder are refused. */
 svo_result fmt_import_mesh(const char *path, const fmt_import_options *options, svo_mesh *out, svo_error *err);
 

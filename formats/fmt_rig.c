@@ -17,7 +17,7 @@ void fmt_rig_free(fmt_rig *r)
         for (uint32_t k = 0; n->tracks != NULL && k < n->track_count; k++) {
             fmt_rig_track *t = &n->tracks[k];
             svo_free(a, t->times, t->count, sizeof(float));
-            svo_free(a, t->values, t->count, (t->part == FMT_RIG_ROTATION ? 4 : 3) * (t->interpolation == FMT_RIG_CUBIC ? 3 : 1) * sizeof(float));
+            svo_free(a, t->values, t->count, (size_t)t->width * (t->interpolation == FMT_RIG_CUBIC ? 3 : 1) * sizeof(float));
         }
         svo_free(a, n->tracks, n->track_count, sizeof *n->tracks);
         svo_string_free(a, n->name);
@@ -66,9 +66,9 @@ static void slerp(const double a[4], const double b[4], double t, double out[4])
     for (int k = 0; k < 4; k++) out[k] = from * a[k] + sign * to * b[k];
 }
 
-static void track_at(const fmt_rig_track *t, double time, double out[4])
+static void track_at(const fmt_rig_track *t, double time, double *out)
 {
-    uint64_t width = t->part == FMT_RIG_ROTATION ? 4 : 3, stride = width * (t->interpolation == FMT_RIG_CUBIC ? 3 : 1);
+    const uint64_t width = t->width, stride = width * (t->interpolation == FMT_RIG_CUBIC ? 3 : 1);
     uint64_t at = 0, count = t->count; /* the last key that is not after the time */
     while (count > 1) {
         uint64_t half = count / 2;
@@ -76,25 +76,25 @@ static void track_at(const fmt_rig_track *t, double time, double out[4])
         count -= half;
     }
     const float *value = t->values + at * stride + (t->interpolation == FMT_RIG_CUBIC ? width : 0);
-    double a[4] = {0, 0, 0, 0}, b[4] = {0, 0, 0, 0};
-    for (uint64_t k = 0; k < width; k++) out[k] = a[k] = (double)value[k];
+    for (uint64_t k = 0; k < width; k++) out[k] = (double)value[k];
     double length = at + 1 < t->count ? (double)t->times[at + 1] - (double)t->times[at] : 0, u = time - (double)t->times[at];
     if (t->interpolation != FMT_RIG_STEP && u > 0 && length > 0) {
         const float *next = value + stride;
         u /= length;
-        for (uint64_t k = 0; k < width; k++) b[k] = (double)next[k];
         if (t->interpolation == FMT_RIG_CUBIC) {
             double u2 = u * u, u3 = u2 * u;
             for (uint64_t k = 0; k < width; k++) { /* out-tangent of the key, in-tangent of the next one */
                 double leave = length * (double)value[width + k], arrive = length * (double)t->values[(at + 1) * stride + k];
-                out[k] = (2 * u3 - 3 * u2 + 1) * a[k] + (u3 - 2 * u2 + u) * leave + (3 * u2 - 2 * u3) * b[k] + (u3 - u2) * arrive;
+                out[k] = (2 * u3 - 3 * u2 + 1) * out[k] + (u3 - 2 * u2 + u) * leave + (3 * u2 - 2 * u3) * (double)next[k] + (u3 - u2) * arrive;
             }
         } else if (t->part == FMT_RIG_ROTATION) {
+            double a[4], b[4];
+            for (int k = 0; k < 4; k++) a[k] = out[k], b[k] = (double)next[k];
             normalize4(a);
             normalize4(b);
             slerp(a, b, u, out);
         } else
-            for (uint64_t k = 0; k < width; k++) out[k] = (1 - u) * a[k] + u * b[k];
+            for (uint64_t k = 0; k < width; k++) out[k] = (1 - u) * out[k] + u * (double)next[k];
     }
     if (t->part == FMT_RIG_ROTATION) normalize4(out);
 }
@@ -109,7 +109,8 @@ void fmt_rig_world(const fmt_rig *r, uint32_t animation, double time, svo_mat4 *
         for (uint32_t i = 0; i < n->track_count; i++) { /* all tracks of a node stand together (the importer sorts them) */
             fmt_rig_node moved = r->nodes[n->tracks[i].node];
             uint32_t node = n->tracks[i].node;
-            for (; i < n->track_count && n->tracks[i].node == node; i++) track_at(&n->tracks[i], time, moved.part[n->tracks[i].part]);
+            for (; i < n->track_count && n->tracks[i].node == node; i++)
+                if (n->tracks[i].part != FMT_RIG_WEIGHTS) track_at(&n->tracks[i], time, moved.part[n->tracks[i].part]);
             i--;
             world[node] = local(&moved);
         }
@@ -119,6 +120,22 @@ void fmt_rig_world(const fmt_rig *r, uint32_t animation, double time, svo_mat4 *
         if (r->nodes[n].parent != SVO_NONE) world[n] = svo_mat4_mul(world[r->nodes[n].parent], world[n]);
     }
 }
+
+const fmt_rig_track *fmt_rig_weights_track(const fmt_rig *r, uint32_t animation, uint32_t node)
+{
+    if (animation == SVO_NONE) return NULL;
+    const fmt_rig_animation *n = &r->animations[animation];
+    uint32_t at = 0, end = n->track_count; /* the node's last track: weights are the last part */
+    while (at < end) {
+        uint32_t half = at + (end - at) / 2;
+        if (n->tracks[half].node <= node) at = half + 1;
+        else end = half;
+    }
+    if (at == 0 || n->tracks[at - 1].node != node || n->tracks[at - 1].part != FMT_RIG_WEIGHTS) return NULL;
+    return &n->tracks[at - 1];
+}
+
+void fmt_rig_weights(const fmt_rig_track *t, double time, double *weights) { track_at(t, time, weights); }
 
 svo_mat4 fmt_rig_joint(const fmt_rig *r, uint32_t skin, uint32_t joint, const svo_mat4 *world)
 {

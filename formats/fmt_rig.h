@@ -17,22 +17,23 @@ typedef struct fmt_rig_node {
     double part[3][4]; /* FMT_RIG_TRANSLATION, ROTATION, SCALE */
 } fmt_rig_node;
 
-enum { FMT_RIG_TRANSLATION, FMT_RIG_ROTATION, FMT_RIG_SCALE };
+enum { FMT_RIG_TRANSLATION, FMT_RIG_ROTATION, FMT_RIG_SCALE, FMT_RIG_WEIGHTS };
 enum { FMT_RIG_STEP, FMT_RIG_LINEAR, FMT_RIG_CUBIC };
 
-/* One part of one node over time. */
+/* One part of one node over time, or the weights of its mesh's morph targets. */
 typedef struct fmt_rig_track {
     uint32_t node;
     uint8_t part, interpolation;
+    uint32_t width;  /* >= 1: 3, rotations 4, weights as many as there are targets */
     uint64_t count;  /* >= 1 */
     float *times;    /* seconds, increasing */
-    float *values;   /* 3 (rotations: 4) a time; CUBIC: three times as many, in-tangent, value, out-tangent */
+    float *values;   /* `width` a time; CUBIC: three times as many, in-tangent, value, out-tangent */
 } fmt_rig_track;
 
 typedef struct fmt_rig_animation {
     char *name; /* never NULL, may be empty */
     uint32_t track_count;
-    fmt_rig_track *tracks;
+    fmt_rig_track *tracks; /* by node, then by part */
     double begin, end; /* seconds: first and last time of all tracks; 0 without any */
 } fmt_rig_animation;
 
@@ -69,6 +70,10 @@ uint32_t fmt_rig_find(const fmt_rig *r, const char *name);
 /* Nodes to the file's world at a time in seconds (before the first key as at the first, after the last as at the last). animation SVO_NONE: as the nodes stand.
  * `world` has room for node_count. */
 void fmt_rig_world(const fmt_rig *r, uint32_t animation, double time, svo_mat4 *world);
+
+/* The track of an animation that has the weights of a node's morph targets, or NULL; and those at a time, `width` of them. */
+const fmt_rig_track *fmt_rig_weights_track(const fmt_rig *r, uint32_t animation, uint32_t node);
+void fmt_rig_weights(const fmt_rig_track *t, double time, double *weights);
 
 /* Where a skin's joint takes a point of the mesh. */
 svo_mat4 fmt_rig_joint(const fmt_rig *r, uint32_t skin, uint32_t joint, const svo_mat4 *world);

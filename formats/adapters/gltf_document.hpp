@@ -145,7 +145,7 @@ const uint8_t *gltf_view_bytes(const gltf_document &d, int view, uint64_t *size,
 /* value of a normalised or plain integer component, as the accessor says */
 double gltf_component_value(double raw, int component_type, bool normalized);
 
-/* gltf_mesh.cpp: parts of one mesh. With a skinning: positions skinned to world space by `joints`; where `keep` is given they stay as they
+/* gltf_mesh.cpp: parts of one mesh, its morph targets added by their weights. With a skinning: positions skinned to world space by `joints`; where `keep` is given they stay as they
  * are, and what they are bound to goes there. */
 struct fmt_rig_shape;
 struct gltf_skinning {
@@ -153,7 +153,7 @@ struct gltf_skinning {
     size_t joint_count = 0;
     fmt_rig_shape *keep = nullptr; /* its array of parts is made */
 };
-void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape);
+void gltf_build_parts(gltf_document &d, int mesh, const std::vector<double> &morph, const gltf_skinning *skinning, svo_shape *shape);
 /* The same checks for a mesh that is not drawn, so that a broken file is refused wherever it is broken. */
 void gltf_check_mesh(gltf_document &d, int mesh);
 /* A small file can name the same data many times. Refuses what goes far beyond the file's own size. */

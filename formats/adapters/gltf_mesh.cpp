@@ -8,9 +8,16 @@
 namespace
 {
 
+/* What a morph target adds to an attribute. */
+struct displacement {
+    std::unique_ptr<gltf_accessor> accessor;
+    double weight;
+};
+
 /* The attributes of one primitive, wherever they come from. */
 struct source {
     std::unique_ptr<gltf_accessor> accessor;
+    std::vector<displacement> morphs;
     const draco_attribute *draco = nullptr;
     int draco_type = 0;
     bool draco_normalized = false;
@@ -21,11 +28,16 @@ struct source {
     {
         if (draco == nullptr) {
             accessor->get(i, out);
-            return;
+        } else {
+            for (int k = 0; k < draco->components; k++) {
+                double v = static_cast<double>(draco->values[i * static_cast<uint64_t>(draco->components) + static_cast<uint64_t>(k)]);
+                out[k] = draco->integral ? gltf_component_value(v, draco_type, draco_normalized) : v;
+            }
         }
-        for (int k = 0; k < draco->components; k++) {
-            double v = static_cast<double>(draco->values[i * static_cast<uint64_t>(draco->components) + static_cast<uint64_t>(k)]);
-            out[k] = draco->integral ? gltf_component_value(v, draco_type, draco_normalized) : v;
+        for (const displacement &m : morphs) {
+            double by[4];
+            m.accessor->get(i, by);
+            for (int k = 0; k < m.accessor->components(); k++) out[k] += m.weight * by[k];
         }
     }
 };
@@ -41,6 +53,7 @@ struct primitive_reader {
     gltf_document &d;
     const tinygltf::Primitive &p;
     std::string where;
+    const std::vector<double> &morph; /* weights of morph targets; those that are not there are 0 */
     const gltf_skinning *skinning;
     int index_accessor; /* -1: none */
     fmt_rig_part *rig_part; /* where influences go; NULL: vertices are skinned */
@@ -99,6 +112,8 @@ struct primitive_reader {
         return s;
     }
 
+    const source &displaced(source &s, const char *name);
+    void check_targets() const;
     std::unique_ptr<gltf_accessor> open_indices();
     uint64_t triangles_of(uint64_t n);
     template <class F> void unroll(uint64_t triangles, const gltf_accessor *from, F &&each);
@@ -114,6 +129,30 @@ struct primitive_reader {
     void skin(svo_part *part, const attributes &a, const std::vector<uint32_t> &kept, uint64_t n);
     void influence(const attributes &a, const std::vector<uint32_t> &kept, uint64_t n);
 };
+
+/* Morph targets, those that have no weight too, have an element for each vertex. */
+void primitive_reader::check_targets() const
+{
+    for (const auto &target : p.targets)
+        for (const auto &item : target)
+            if (d.model.accessors.at(static_cast<size_t>(item.second)).count != vertex_count) bad("a morph target has another number of vertices");
+}
+
+/* Add the morph targets of an attribute that have a weight (glTF 2.0, 3.7.2.2). */
+const source &primitive_reader::displaced(source &s, const char *name)
+{
+    for (size_t i = 0; s.present() && i < p.targets.size() && i < morph.size(); i++) {
+        auto it = p.targets[i].find(name);
+        if (it == p.targets[i].end() || morph[i] == 0) continue;
+        /* Targets of colours may lack alpha. */
+        const int least = std::strcmp(name, "COLOR_0") == 0 ? 3 : s.components();
+        auto a = std::make_unique<gltf_accessor>(d, it->second, (where + ", morph target " + std::to_string(i) + ", " + name).c_str(), least, s.components());
+        if (a->component_type() == TINYGLTF_COMPONENT_TYPE_UNSIGNED_INT) bad("a morph target of 32-bit integers");
+        gltf_charge(d, vertex_count); /* a file can name the same data in many targets */
+        s.morphs.push_back({std::move(a), morph[i]});
+    }
+    return s;
+}
 
 /* The index accessor, NULL where vertices are taken in order. */
 std::unique_ptr<gltf_accessor> primitive_reader::open_indices()
@@ -178,6 +217,10 @@ attributes primitive_reader::open()
     a.normals = find("NORMAL", 3, 3);
     for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) a.uvs[u] = find(("TEXCOORD_" + std::to_string(u)).c_str(), 2, 2);
     a.colors = find("COLOR_0", 3, 4);
+    displaced(a.positions, "POSITION");
+    displaced(a.normals, "NORMAL");
+    for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) displaced(a.uvs[u], ("TEXCOORD_" + std::to_string(u)).c_str());
+    displaced(a.colors, "COLOR_0");
     for (int s = 0; skinning != nullptr && s < 4; s++) {
         attributes::binding one;
         one.joints = find(("JOINTS_" + std::to_string(s)).c_str(), 4, 4);
@@ -201,6 +244,10 @@ void primitive_reader::fill(svo_part *part, const attributes &a, const std::vect
     }
     for (uint64_t i = 0; a.normals.present() && i < n; i++) {
         a.normals.get(vertex(i), v);
+        if (!a.normals.morphs.empty()) { /* sums of unit vectors are none */
+            svo_vec3 unit = svo_normalize(svo_v3(v[0], v[1], v[2]));
+            v[0] = unit.x, v[1] = unit.y, v[2] = unit.z;
+        }
         for (uint64_t k = 0; k < 3; k++) part->normals[3 * i + k] = static_cast<float>(v[k]);
     }
     for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++)
@@ -303,6 +350,7 @@ bool primitive_reader::prepare()
     }
     vertex_count = is_draco ? draco_points : d.model.accessors.at(static_cast<size_t>(position->second)).count;
     if (vertex_count >= UINT32_MAX) svo_throw(SVO_LIMIT, "%s: %s: more than 2^32 vertices", d.path(), where.c_str());
+    check_targets();
     if (d.spilling && !is_draco) return true; /* indices are read and checked on the way */
     read_indices();
     check_range(indices.data(), indices.size());
@@ -330,7 +378,6 @@ void primitive_reader::build(svo_part *part)
 {
     part->material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
     if (!prepare()) return;
-    if (!p.targets.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
     if (d.spilling && !is_draco) {
         spill(part);
         return;
@@ -395,7 +442,7 @@ void primitive_reader::spill(svo_part *part)
     const attributes a = open();
     bool uvs[SVO_MAX_UV_SETS];
     for (uint32_t u = 0; u < SVO_MAX_UV_SETS; u++) uvs[u] = a.uvs[u].present();
-    const bool wide = !a.bindings.empty() || !a.positions.accessor->fits_floats();
+    const bool wide = !a.bindings.empty() || !a.positions.morphs.empty() || !a.positions.accessor->fits_floats();
     const svo_soup_layout layout = svo_soup_layout_make(wide, a.normals.present(), uvs, a.colors.present());
     svo_error err{};
     if (d.soup == nullptr) svo_check(svo_soup_file_create(d.context->spill, d.context->allocator, &d.soup, &err), err);
@@ -417,11 +464,11 @@ void primitive_reader::spill(svo_part *part)
     flush();
 }
 
-primitive_reader reader_of(gltf_document &d, int mesh, uint32_t i, const gltf_skinning *skinning)
+primitive_reader reader_of(gltf_document &d, int mesh, uint32_t i, const std::vector<double> &morph, const gltf_skinning *skinning)
 {
     fmt_rig_part *keep = skinning != nullptr && skinning->keep != nullptr ? &skinning->keep->parts[i] : nullptr;
     return primitive_reader{d, d.model.meshes[static_cast<size_t>(mesh)].primitives[i],
-                            "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), skinning,
+                            "mesh " + std::to_string(mesh) + ", primitive " + std::to_string(i), morph, skinning,
                             d.indices.at(static_cast<size_t>(mesh)).at(i), keep, 0, {}, {}, 0, false, {}, {}};
 }
 
@@ -435,7 +482,7 @@ void gltf_charge(gltf_document &d, uint64_t elements)
     d.elements += elements;
 }
 
-void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning, svo_shape *shape)
+void gltf_build_parts(gltf_document &d, int mesh, const std::vector<double> &morph, const gltf_skinning *skinning, svo_shape *shape)
 {
     const tinygltf::Mesh &m = d.model.meshes.at(static_cast<size_t>(mesh));
     shape->name = gltf_copy(d, m.name.empty() ? "mesh " + std::to_string(mesh) : m.name);
@@ -448,7 +495,7 @@ void gltf_build_parts(gltf_document &d, int mesh, const gltf_skinning *skinning,
         const tinygltf::Primitive &p = m.primitives[i];
         shape->parts[i].material = p.material >= 0 ? static_cast<uint32_t>(p.material) : SVO_NONE;
         if (p.mode < TINYGLTF_MODE_TRIANGLES) svo_warn(d.warnings(), "%s: points and lines are left out", d.path());
-        else reader_of(d, mesh, i, skinning).build(&shape->parts[i]);
+        else reader_of(d, mesh, i, morph, skinning).build(&shape->parts[i]);
     }
 }
 
@@ -456,5 +503,5 @@ void gltf_check_mesh(gltf_document &d, int mesh)
 {
     const tinygltf::Mesh &m = d.model.meshes.at(static_cast<size_t>(mesh));
     for (uint32_t i = 0; i < m.primitives.size(); i++)
-        if (m.primitives[i].mode >= TINYGLTF_MODE_TRIANGLES) reader_of(d, mesh, i, nullptr).check();
+        if (m.primitives[i].mode >= TINYGLTF_MODE_TRIANGLES) reader_of(d, mesh, i, {}, nullptr).check();
 }

@@ -44,15 +44,18 @@ const nlohmann::json &list(const gltf_document &d, size_t animation, const nlohm
 /* Times and values of a track, checked. */
 void fill_track(gltf_document &d, size_t animation, const gltf_track &from, fmt_rig_track *to)
 {
-    const int width = from.part == FMT_RIG_ROTATION ? 4 : 3;
-    const uint64_t per_key = from.interpolation == FMT_RIG_CUBIC ? 3 : 1;
+    /* Weights come one to an element. */
+    const int width = from.part == FMT_RIG_ROTATION ? 4 : from.part == FMT_RIG_WEIGHTS ? 1 : 3;
+    const uint64_t elements = from.part == FMT_RIG_WEIGHTS ? gltf_target_count(d, from.node) : 1;
+    const uint64_t per_key = elements * (from.interpolation == FMT_RIG_CUBIC ? 3 : 1);
     gltf_accessor in(d, from.input, "animation input", 1, 1), out(d, from.output, "animation output", width, width);
     if (in.component_type() != TINYGLTF_COMPONENT_TYPE_FLOAT) bad(d, animation, "times are not floats");
-    if (in.count() == 0 || out.count() != per_key * in.count()) bad(d, animation, "a sampler has not as many values as its times need");
+    if (in.count() == 0 || out.count() / per_key != in.count() || out.count() % per_key != 0) bad(d, animation, "a sampler has not as many values as its times need");
     gltf_charge(d, in.count() * (1 + per_key * static_cast<uint64_t>(width)));
     to->node = static_cast<uint32_t>(from.node);
     to->part = static_cast<uint8_t>(from.part);
     to->interpolation = static_cast<uint8_t>(from.interpolation);
+    to->width = static_cast<uint32_t>(elements * static_cast<uint64_t>(width));
     to->count = in.count();
     to->times = gltf_array<float>(d, in.count());
     to->values = gltf_array<float>(d, in.count(), per_key * static_cast<size_t>(width));
@@ -81,6 +84,8 @@ void fill_animations(gltf_document &d, fmt_rig *rig)
         fmt_rig_animation *to = &rig->animations[i];
         std::vector<gltf_track> &tracks = d.animations[i].tracks;
         to->name = gltf_copy(d, d.animations[i].name);
+        const auto still = [&d](const gltf_track &t) { return t.part == FMT_RIG_WEIGHTS && gltf_target_count(d, t.node) == 0; };
+        tracks.erase(std::remove_if(tracks.begin(), tracks.end(), still), tracks.end());
         /* by node and part; of two tracks of the same thing, which glTF forbids, the last one counts */
         std::stable_sort(tracks.begin(), tracks.end(), [](const gltf_track &a, const gltf_track &b) { return a.node != b.node ? a.node < b.node : a.part < b.part; });
         if (tracks.empty()) continue;
@@ -117,6 +122,13 @@ void fill_skins(gltf_document &d, fmt_rig *rig)
 
 } // namespace
 
+size_t gltf_target_count(const gltf_document &d, int node)
+{
+    const int mesh = d.model.nodes.at(static_cast<size_t>(node)).mesh;
+    if (mesh < 0 || d.model.meshes.at(static_cast<size_t>(mesh)).primitives.empty()) return 0;
+    return d.model.meshes.at(static_cast<size_t>(mesh)).primitives[0].targets.size();
+}
+
 void gltf_take_animations(gltf_document &d, const nlohmann::json &root)
 {
     auto all = root.find("animations");
@@ -139,13 +151,9 @@ void gltf_take_animations(gltf_document &d, const nlohmann::json &root)
             const std::string path = text(d, i, *target, "path", "");
             if (sampler < 0) bad(d, i, "a channel has no sampler");
             if (t.node < 0) continue; /* what an extension moves */
-            if (path == "weights") {
-                svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
-                continue;
-            }
-            static const char *const parts[] = {"translation", "rotation", "scale"}, *const kinds[] = {"STEP", "LINEAR", "CUBICSPLINE"};
+            static const char *const parts[] = {"translation", "rotation", "scale", "weights"}, *const kinds[] = {"STEP", "LINEAR", "CUBICSPLINE"};
             t.part = t.interpolation = -1;
-            for (int k = 0; k < 3; k++)
+            for (int k = 0; k < 4; k++)
                 if (path == parts[k]) t.part = k;
             if (t.part < 0) bad(d, i, "a channel's path is none of translation, rotation, scale and weights");
             const nlohmann::json &s = samplers[static_cast<size_t>(sampler)];
@@ -156,7 +164,7 @@ void gltf_take_animations(gltf_document &d, const nlohmann::json &root)
             t.output = reference(d, i, s, "output", size_of("accessors"));
             if (t.interpolation < 0) bad(d, i, "an interpolation is none of STEP, LINEAR and CUBICSPLINE");
             if (t.input < 0 || t.output < 0) bad(d, i, "a sampler has no input or no output");
-            if (root["nodes"][static_cast<size_t>(t.node)].contains("matrix")) bad(d, i, "moves a node that has a matrix");
+            if (t.part != FMT_RIG_WEIGHTS && root["nodes"][static_cast<size_t>(t.node)].contains("matrix")) bad(d, i, "moves a node that has a matrix");
             animation.tracks.push_back(t);
         }
         d.animations.push_back(std::move(animation));

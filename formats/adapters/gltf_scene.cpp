@@ -1,9 +1,11 @@
 /* The node forest of the drawn scene to shapes, instances and cameras. */
 #include "gltf_rig.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <map>
+#include <tuple>
 
 namespace
 {
@@ -15,7 +17,14 @@ struct scene_builder {
     std::vector<svo_shape> shapes; /* owned until finish() */
     std::vector<svo_instance> instances;
     std::vector<svo_camera> cameras;
-    std::map<std::pair<int, int>, uint32_t> known; /* (mesh, skin or -1) -> shape */
+    uint32_t animation = SVO_NONE;
+    /* A mesh as it is drawn: weights of its morph targets, no zeros at the end; -1: no skin. */
+    struct drawn_mesh {
+        int mesh, skin;
+        std::vector<double> morph;
+        bool operator<(const drawn_mesh &o) const { return std::tie(mesh, skin, morph) < std::tie(o.mesh, o.skin, o.morph); }
+    };
+    std::map<drawn_mesh, uint32_t> known; /* -> shape */
     fmt_rig own{}, *rig; /* the caller's or our own */
     std::vector<fmt_rig_shape> rig_shapes; /* owned until finish() */
     std::vector<uint32_t> nodes;           /* of each instance */
@@ -64,7 +73,6 @@ struct scene_builder {
         /* all nodes: joints may stand outside the scene */
         gltf_build_rig(d, walk(roots), rig);
         const import_context *c = d.context;
-        uint32_t animation = SVO_NONE;
         if (c->rig != nullptr && c->animation != nullptr) {
             animation = fmt_rig_find(rig, c->animation);
             if (animation == SVO_NONE) svo_throw(SVO_INVALID_DATA, "%s: there is no animation '%.60s'; the file has %u", d.path(), c->animation, rig->animation_count);
@@ -104,9 +112,28 @@ struct scene_builder {
         return false;
     }
 
-    uint32_t shape(int mesh_index, int skin)
+    /* Weights of the morph targets of a node: the animation's, else the node's, else the mesh's. */
+    std::vector<double> morph_of(const tinygltf::Node &n)
     {
-        auto it = known.find({mesh_index, skin});
+        const tinygltf::Mesh &m = d.model.meshes.at(static_cast<size_t>(n.mesh));
+        const size_t targets = m.primitives.empty() ? 0 : m.primitives[0].targets.size();
+        const std::vector<double> &stated = !n.weights.empty() ? n.weights : m.weights;
+        if (!stated.empty() && stated.size() != targets)
+            svo_warn(d.warnings(), "%s: mesh %d has %zu morph targets, but %zu weights", d.path(), n.mesh, targets, stated.size());
+        std::vector<double> out(stated.begin(), stated.begin() + static_cast<std::ptrdiff_t>(std::min(stated.size(), targets)));
+        if (const fmt_rig_track *t = fmt_rig_weights_track(rig, animation, node_now)) {
+            out.resize(t->width);
+            fmt_rig_weights(t, d.context->time, out.data());
+        }
+        for (double w : out)
+            if (!std::isfinite(w)) svo_throw(SVO_INVALID_DATA, "%s: a weight of a morph target of mesh %d is not finite", d.path(), n.mesh);
+        while (!out.empty() && out.back() == 0) out.pop_back();
+        return out;
+    }
+
+    uint32_t shape(int mesh_index, int skin, const std::vector<double> &morph)
+    {
+        auto it = known.find({mesh_index, skin, morph});
         if (it != known.end()) return it->second;
         shapes.push_back(svo_shape{});
         rig_shapes.push_back(fmt_rig_shape{SVO_NONE, 0, nullptr});
@@ -123,12 +150,12 @@ struct scene_builder {
                 r.skin = static_cast<uint32_t>(skin);
                 s.keep = &r;
             }
-            gltf_build_parts(d, mesh_index, &s, &shapes.back());
+            gltf_build_parts(d, mesh_index, morph, &s, &shapes.back());
         } else {
-            gltf_build_parts(d, mesh_index, nullptr, &shapes.back());
+            gltf_build_parts(d, mesh_index, morph, nullptr, &shapes.back());
         }
         uint32_t index = static_cast<uint32_t>(shapes.size() - 1);
-        known[{mesh_index, skin}] = index;
+        known[{mesh_index, skin, morph}] = index;
         return index;
     }
 
@@ -200,8 +227,7 @@ struct scene_builder {
             node_now = static_cast<uint32_t>(i);
             if (n.camera >= 0) add_camera(n, w);
             if (n.mesh < 0) continue;
-            if (!n.weights.empty()) svo_warn(d.warnings(), "%s: morph targets are ignored", d.path());
-            uint32_t s = shape(n.mesh, n.skin);
+            uint32_t s = shape(n.mesh, n.skin, morph_of(n));
             auto x = n.extensions.find("EXT_mesh_gpu_instancing");
             if (x != n.extensions.end() && n.skin < 0) add_gpu_instances(n, w, s, x->second);
             else add_instance(n.name, s, n.skin >= 0 ? skinned_place(s) : w);
@@ -225,7 +251,7 @@ struct scene_builder {
                 if (s.parts[i].material != SVO_NONE && s.parts[i].triangle_count != 0) used[s.parts[i].material] = true;
         gltf_build_materials(d, used, mesh);
         std::vector<bool> drawn(d.model.meshes.size(), false);
-        for (const auto &k : known) drawn[static_cast<size_t>(k.first.first)] = true;
+        for (const auto &k : known) drawn[static_cast<size_t>(k.first.mesh)] = true;
         for (size_t i = 0; i < drawn.size(); i++)
             if (!drawn[i]) gltf_check_mesh(d, static_cast<int>(i));
         move(d, shapes, &mesh->shapes, &mesh->shape_count);
