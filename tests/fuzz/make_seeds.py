@@ -154,7 +154,7 @@ def gltf_instances():
 
 
 def gltf_rig(kinds):
-    """A skin of two joints and an animation with a channel of each kind of interpolation."""
+    """A skin of two joints, two morph targets, and an animation with a channel of each kind of interpolation."""
     data, views, accessors = b"", [], []
     def put(values, code, width, kind, component):
         nonlocal data
@@ -170,12 +170,16 @@ def gltf_rig(kinds):
     times = put((0, 0.5, 2), "f", 1, "SCALAR", 5126)
     moves, turns = put(POINTS[:3], "f", 3, "VEC3", 5126), put([(0, 0, 0, 1), (0, 0.6, 0, 0.8), (1, 0, 0, 0)], "f", 4, "VEC4", 5126)
     cubic = put([(i % 3, 1, 0.5) for i in range(9)], "f", 3, "VEC3", 5126)
+    cycle = put([0, 0.5, 1, 0.25, -1, 2], "f", 1, "SCALAR", 5126)  # two targets, three times
     samplers = [{"input": times, "output": {"STEP": moves, "LINEAR": turns, "CUBICSPLINE": cubic}[k], "interpolation": k} for k in kinds]
     channels = [{"sampler": i, "target": {"node": 1 + i % 2, "path": {"STEP": "translation", "LINEAR": "rotation", "CUBICSPLINE": "scale"}[k]}} for i, k in enumerate(kinds)]
+    samplers.append({"input": times, "output": cycle})
+    channels.append({"sampler": len(kinds), "target": {"node": 0, "path": "weights"}})
+    position = attributes["POSITION"]
     uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
     return json.dumps({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}], "skins": [{"joints": [1, 2], "inverseBindMatrices": inverse}],
                        "nodes": [{"mesh": 0, "skin": 0}, {"children": [2]}, {"translation": [0, 1, 0]}],
-                       "meshes": [{"primitives": [{"attributes": attributes, "mode": 5}]}], "animations": [{"name": "a", "samplers": samplers, "channels": channels}],
+                       "meshes": [{"weights": [0.5, 1], "primitives": [{"attributes": attributes, "mode": 5, "targets": [{"POSITION": position}, {}]}]}], "animations": [{"name": "a", "samplers": samplers, "channels": channels}],
                        "accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data), "uri": uri}]}, separators=(",", ":")).encode()
 
 
