@@ -151,6 +151,10 @@ typedef struct skel_report {
     uint32_t voxel_level;  /* source VOXELS: octree level that was contracted, and that of the file */
     uint32_t voxel_depth;
     skel_quality quality; /* not kept in files */
+    /* Not kept in files: where the surface is closed, what the contraction came to, and whether the curve was made again from the solid's cells because this was not the surface's genus. */
+    uint32_t contracted_components;
+    uint64_t contracted_loops;
+    bool rebuilt;
     uint32_t phase_count;
     skel_phase phases[SKEL_MAX_PHASES];
 } skel_report;

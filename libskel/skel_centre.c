@@ -187,6 +187,17 @@ static double way_outside(const skeli_surface *s, const double *a, const double 
     return length * outside / pieces;
 }
 
+/* Does another chain have the same two ends? */
+static bool twin(const skeli_chains *chains, uint32_t chain)
+{
+    const uint32_t a = chains->joint[chains->start[chain]], b = chains->joint[chains->start[chain + 1] - 1];
+    for (uint32_t k = 0; k < chains->count; k++) {
+        const uint32_t c = chains->joint[chains->start[k]], d = chains->joint[chains->start[k + 1] - 1];
+        if (k != chain && ((a == c && b == d) || (a == d && b == c))) return true;
+    }
+    return false;
+}
+
 /* Drop joints of chains that the curve does not need: those nearer to the last one that stays than half the width there (close: true), or those
  * within a tolerance of the straight way between others, or turn back. */
 static svo_result thin_chains(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *s, double omega, bool close, skeli_curve *c, svo_error *err)
@@ -198,7 +209,7 @@ static svo_result thin_chains(skeli_pool *pool, const skeli_soup *mesh, const sk
     for (uint32_t j = 0; j < c->joints; j++) into[j] = j;
     for (uint32_t k = 0; k < chains.count; k++) {
         const uint32_t *chain = chains.joint + chains.start[k], n = chains.start[k + 1] - chains.start[k];
-        uint32_t least = chain[0] == chain[n - 1] ? 3 : 1, kept = n - 1; /* bones that must stay: a loop needs three */
+        uint32_t least = chain[0] == chain[n - 1] ? 3 : twin(&chains, k) ? 2 : 1, kept = n - 1; /* bones that must stay: a loop needs three */
         for (uint32_t last = 0, i = 1; i + 1 < n; i++) {
             const double *a = c->position + 3 * (uint64_t)chain[last], *p = c->position + 3 * (uint64_t)chain[i];
             double radius = skeli_surface_distance(s, p, FAR, NULL);

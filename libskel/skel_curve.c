@@ -1,6 +1,6 @@
 /* From the contracted vertices to joints and bones (Willcocks 2013, section 5.5, Postprocessing), with the clean-up that the text leaves out: what is
  * still a triangle after the weld becomes one joint, and corners of it that lead nowhere are folded into it. */
-#include "skeli_curve.h"
+#include "skeli_cells.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -294,11 +294,23 @@ static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c,
     return SVO_OK;
 }
 
+/* Where the surface is closed and the curve has not its handles and parts: one that has, from the solid's cells, with the ends that the contraction found. */
+static svo_result handles(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, const skel_options *o, bool inside, skeli_curve *c, skel_report *r, svo_error *err)
+{
+    const double omega = o->omega * SKEL_LATTICE;
+    const skeli_genus *g = &surface->genus;
+    if (inside) SVO_TRY(skeli_centre(pool, mesh, surface, omega, c, err));
+    if (!g->known) return SVO_OK;
+    SVO_TRY(skeli_curve_betti(pool, c, &r->contracted_components, &r->contracted_loops, err));
+    if (r->contracted_components == g->components && r->contracted_loops == g->genus) return SVO_OK;
+    SVO_TRY(skeli_curve_of_cells(pool, mesh, surface, g, o->threads, c, &r->rebuilt, err));
+    return r->rebuilt ? skeli_centre(pool, mesh, surface, omega, c, err) : SVO_OK;
+}
+
 svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skeli_surface *surface, const skel_options *options,
                          skel_skeleton *out, uint32_t *joint_of, svo_error *err)
 {
     skeli_curve c = {.joint_of = joint_of};
-    const double omega = options->omega * SKEL_LATTICE;
     SVO_TRY(weld_all(pool, mesh, s, options, &c, err));
     SVO_TRY(connect(pool, mesh, &c, err));
     out->report.leftover_triangles = (uint32_t)c.triangles;
@@ -311,10 +323,9 @@ svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_s
     skeli_give(pool, original);
     if (options->place != SKEL_PLACE_CONTRACTED) SVO_TRY(place_centroids(pool, mesh, ring, &c, err));
     SVO_TRY(fold_leaves(pool, mesh, &c, err));
-    if (surface != NULL && skeli_mostly_inside(surface, &c)) {
-        SVO_TRY(skeli_close_false_loops(pool, mesh, surface, &c, err));
-        if (options->place == SKEL_PLACE_INSIDE) SVO_TRY(skeli_centre(pool, mesh, surface, omega, &c, err));
-    }
+    bool inside = surface != NULL && skeli_mostly_inside(surface, &c);
+    if (inside) SVO_TRY(skeli_close_false_loops(pool, mesh, surface, &c, err));
+    if (surface != NULL && options->place == SKEL_PLACE_INSIDE) SVO_TRY(handles(pool, mesh, surface, options, inside, &c, &out->report, err));
     skeli_give(pool, ring);
     SVO_TRY(emit(pool, mesh, &c, out, err));
     return SVO_OK;

@@ -103,6 +103,23 @@ svo_result skeli_curve_merge(skeli_pool *pool, const skeli_soup *mesh, skeli_cur
     return tidy(pool, c, err);
 }
 
+svo_result skeli_curve_betti(skeli_pool *pool, const skeli_curve *c, uint32_t *components, uint64_t *loops, svo_error *err)
+{
+    uint32_t *parent = skeli_take(pool, c->joints, sizeof *parent);
+    if (parent == NULL) return skeli_no_memory(err);
+    for (uint32_t j = 0; j < c->joints; j++) parent[j] = j;
+    *components = c->joints;
+    for (uint64_t b = 0; b < c->bones; b++) {
+        uint32_t p = skeli_root(parent, c->bone[2 * b]), q = skeli_root(parent, c->bone[2 * b + 1]);
+        if (p == q) continue;
+        parent[p > q ? p : q] = p > q ? q : p;
+        --*components;
+    }
+    *loops = c->bones + *components - c->joints;
+    skeli_give(pool, parent);
+    return SVO_OK;
+}
+
 static double distance2(const double *p, const int32_t *q)
 {
     double x = p[0] - q[0], y = p[1] - q[1], z = p[2] - q[2];

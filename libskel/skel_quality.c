@@ -172,9 +172,8 @@ svo_result skeli_quality(skeli_pool *pool, const skeli_surface *surface, const s
                          uint32_t threads, skel_quality *q, svo_error *err)
 {
     measuring m = {.surface = surface, .mesh = mesh};
-    skeli_genus genus;
+    const skeli_genus genus = surface->genus;
     memset(q, 0, sizeof *q);
-    SVO_TRY(skeli_surface_genus(pool, surface->soup, &genus, err));
     SVO_TRY(take_samples(pool, joint, joints, bone, bones, &m, err));
     m.ray_step = m.count / RAY_SAMPLES + 1;
     SVO_TRY(svo_parallel_for(threads, m.count, 64, look, &m, err));

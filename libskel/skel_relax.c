@@ -196,6 +196,23 @@ svo_result skeli_split_branches(skeli_pool *pool, const skeli_surface *surface, 
     return SVO_OK;
 }
 
+/* Would a loop become one bone that is there twice, or nothing, if p and q (roots of what is merged already) were one? */
+static bool closes_loop(const skeli_curve *c, uint32_t *into, uint32_t p, uint32_t q)
+{
+    uint32_t direct = 0;
+    for (uint64_t b = 0; b < c->bones; b++) {
+        const uint32_t x = skeli_root(into, c->bone[2 * b]), y = skeli_root(into, c->bone[2 * b + 1]);
+        direct += (x == p && y == q) || (x == q && y == p);
+        if ((x == p) == (y == p)) continue;
+        const uint32_t beside = x == p ? y : x; /* of p: is it beside q too? */
+        for (uint64_t e = 0; e < c->bones && beside != q; e++) {
+            const uint32_t u = skeli_root(into, c->bone[2 * e]), v = skeli_root(into, c->bone[2 * e + 1]);
+            if ((u == beside && v == q) || (u == q && v == beside)) return true;
+        }
+    }
+    return direct > 1;
+}
+
 svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double nearer, skeli_curve *c, svo_error *err)
 {
     skeli_fans fans;
@@ -208,7 +225,7 @@ svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double
         bool branches = fans.start[x + 1] - fans.start[x] > 2 && fans.start[y + 1] - fans.start[y] > 2;
         if (!branches || skeli_apart(c->position + 3 * (uint64_t)x, c->position + 3 * (uint64_t)y) >= nearer) continue;
         uint32_t p = skeli_root(into, x), q = skeli_root(into, y);
-        if (p != q) into[p > q ? p : q] = p > q ? q : p;
+        if (p != q && !closes_loop(c, into, p, q)) into[p > q ? p : q] = p > q ? q : p;
     }
     svo_result result = skeli_curve_merge(pool, mesh, c, into, err);
     skeli_give(pool, into);

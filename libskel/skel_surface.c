@@ -253,6 +253,7 @@ svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const do
                               const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
 {
     SVO_TRY(skeli_surface_tree(pool, soup, s, err));
+    SVO_TRY(skeli_surface_genus(pool, soup, &s->genus, err));
     if (soup->triangle_count == 0) return SVO_OK;
     /* a const model in a struct that has no const: nothing writes to it */
     memcpy(&s->part.positions, &position, sizeof position);

@@ -34,6 +34,9 @@ svo_result skeli_curve_merge(skeli_pool *pool, const skeli_soup *mesh, skeli_cur
 /* Insert count[b] points (at point + 3 * first[b], from bone a to b) into bone b; vertices of a bone's joints go to the nearest of its points. */
 svo_result skeli_curve_insert(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c, const uint32_t *count, const uint64_t *first, const double *point, svo_error *err);
 
+/* How many parts it has, and how many loops. */
+svo_result skeli_curve_betti(skeli_pool *pool, const skeli_curve *c, uint32_t *components, uint64_t *loops, svo_error *err);
+
 /* --- after the weld --- */
 /* A loop that can be filled by a disc inside the solid is none: its joints become one. */
 svo_result skeli_close_false_loops(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, skeli_curve *c, svo_error *err);

@@ -7,6 +7,9 @@
 
 enum { SKELI_SURFACE_LEVELS = 32 };
 
+/* Parts of the surface that share vertices; whether all of them are closed (every edge has two triangles), and then the sum of their genera. */
+typedef struct skeli_genus { uint32_t components, closed; bool known; uint64_t genus; } skeli_genus;
+
 typedef struct skeli_surface {
     const skeli_soup *soup;
     /* A complete binary tree over the triangles in their (Morton) order, four a leaf. */
@@ -22,6 +25,7 @@ typedef struct skeli_surface {
     svo_bins *bins;
     svo_winding *winding; /* NULL where no triangle has an area */
     uint64_t turned, boundary_edges;
+    skeli_genus genus;
 } skeli_surface;
 
 /* position, corner: the model as it was given (they and soup are borrowed); report has the normalisation. Zero-initialise before; free also on failure. */
@@ -40,8 +44,6 @@ double skeli_surface_ray(const skeli_surface *s, const double p[3], const double
 /* Generalised winding number above 1/2. */
 bool skeli_surface_inside(const skeli_surface *s, const double p[3]);
 
-/* Parts of the surface that share vertices; whether all of them are closed (every edge has two triangles), and then the sum of their genera. */
-typedef struct skeli_genus { uint32_t components, closed; bool known; uint64_t genus; } skeli_genus;
 svo_result skeli_surface_genus(skeli_pool *pool, const skeli_soup *soup, skeli_genus *out, svo_error *err);
 
 /* Measure a curve: joints in lattice steps, bones as pairs; mesh: vertices the surface is sampled at. */

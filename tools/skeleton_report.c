@@ -68,6 +68,9 @@ void skeleton_report(cli *c, const skel_skeleton *s, uint64_t bytes)
     cli_put_u64(output, "ends", r->ends);
     cli_put_u64(output, "branches", r->branches);
     cli_put_u64(output, "loops", r->loops);
+    cli_put_u64(output, "contracted_loops", r->contracted_loops);
+    cli_put_u64(output, "contracted_components", r->contracted_components);
+    json_object_set_new(output, "rebuilt", json_boolean(r->rebuilt));
     cli_put_u64(output, "isolated_joints", r->isolated);
     cli_put_u64(output, "leftover_triangles", r->leftover_triangles);
     report_components(output, s);
