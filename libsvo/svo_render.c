@@ -202,20 +202,30 @@ static void measure_stop(const renderer *r, const svo_scene_ray *ray, const svo_
     if (svo_ray_node(v, &grid, hit->node.level - 1u, parent, &enter, &leave)) s->parent_min = fmin(s->parent_min, 2 * edge / fmax(enter, 0));
 }
 
-/* One sample of every pixel of a tile: trace all, then all shadow rays, then add up. */
-static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny, uint32_t sample)
+/* Where the rays of a tile go on behind what they have met and not been stopped by; false when there are none. The others have no hit then. */
+static bool trace_behind(const renderer *r, worker *w, uint32_t count)
 {
-    const double sx = (sample % r->o->samples + 0.5) / r->o->samples, sy = (sample / r->o->samples + 0.5) / r->o->samples;
-    const svo_render_options *o = r->o;
-    uint32_t count = nx * ny;
-    for (uint32_t i = 0; i < count; i++) w->rays[i] = svo_render_ray(o, x0 + i % nx + sx, y0 + i / nx + sy);
-    double t0 = svoi_thread_seconds();
-    svo_scene_trace(r->bvh, w->rays, count, w->hits);
-    double t1 = svoi_thread_seconds();
-    w->stats.primary_seconds += t1 - t0;
-    w->stats.primary += count;
+    uint32_t live = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        bool more = w->hits[i].node.hit && w->cover[i] < 1;
+        w->seen[i] *= 1 - w->cover[i];
+        w->hits[i].node.hit = false;
+        if (!more || w->seen[i] < SVOI_DARK) continue;
+        w->more[live] = w->rays[i];
+        w->more_pixel[live++] = i;
+    }
+    svo_scene_trace(r->bvh, w->more, live, w->more_hits);
+    for (uint32_t k = 0; k < live; k++) w->hits[w->more_pixel[k]] = w->more_hits[k];
+    w->stats.primary += live;
+    return live != 0;
+}
 
-    /* light[i]: the cosine where a shadow ray is needed or the light reaches, else 0 */
+/* Light from the hits of a tile, added to the sums. */
+static void shade_hits(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t count, uint32_t sample)
+{
+    const svo_render_options *o = r->o;
+    double t1 = svoi_thread_seconds();
+    /* the cosine with the light, times the share of it that arrives */
     float direct[TILE_PIXELS];
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->hits[i];
@@ -229,27 +239,10 @@ static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, 
         if (o->measure && o->footprint > 0 && v->lod) measure_stop(r, &w->rays[i], hit, &w->stats);
         w->normals[i] = svoi_render_normal(r, &w->rays[i], hit);
         direct[i] = (float)fmax(0, svo_dot(w->normals[i], r->light));
+        w->cover[i] = 1;
     }
     double t2 = svoi_thread_seconds();
-    if (o->shadows) {
-        uint32_t pixel[TILE_PIXELS], shadows = 0;
-        bool blocked[TILE_PIXELS];
-        for (uint32_t i = 0; i < count; i++) {
-            if (!(direct[i] > 0)) continue;
-            svo_scene_ray shadow = {.direction = r->light, .t_min = 0, .t_max = INFINITY};
-            shadow.origin = svo_render_shadow_origin(r->bvh, &w->hits[i], w->normals[i]);
-            shadow.offset = w->rays[i].spread * w->hits[i].node.t; /* nodes that look no larger than a sample from the eye */
-            pixel[shadows] = i;
-            w->shadow_rays[shadows++] = shadow;
-        }
-        svo_scene_blocked_many(r->bvh, w->shadow_rays, shadows, blocked);
-        w->stats.shadow += shadows;
-        for (uint32_t i = 0; i < shadows; i++) {
-            if (!blocked[i]) continue;
-            w->stats.blocked++;
-            direct[pixel[i]] = 0;
-        }
-    }
+    if (o->shadows) svoi_render_shadows(r, w, w->rays, w->hits, w->normals, count, direct);
     double t3 = svoi_thread_seconds();
     w->stats.shadow_seconds += t3 - t2;
     if (o->bounce != 0 || o->reflections) svoi_render_secondary(r, w, x0, y0, nx, count, sample);
@@ -263,30 +256,54 @@ static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, 
         float albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
         svoi_render_color(v, c->color, hit->node.attribute, albedo);
         svoi_render_color(v, c->emissive, hit->node.attribute, emissive);
+        if (r->see_through) w->cover[i] = svoi_render_pass(r, &w->rays[i], hit, w->normals[i]);
+        const float share = w->seen[i] * w->cover[i];
         /* the sky is brighter than the ground */
         float plain = (float)(0.75 + 0.25 * w->normals[i].y), ambient = (float)o->ambient;
         for (int k = 0; k < 3; k++) {
             float light = ambient * (o->bounce != 0 ? w->around[i][k] : plain) + (1 - ambient) * direct[i], out = albedo[k] * light;
             if (o->reflections) out += w->mirrored[i][3] * (w->mirrored[i][k] - out);
-            w->sum[i][k] += out + emissive[k];
+            w->sum[i][k] += share * (out + emissive[k]);
         }
-        w->sum[i][3] += 1;
+        w->sum[i][3] += share;
     }
     w->stats.shade_seconds += t2 - t1 + svoi_thread_seconds() - t4;
+}
+
+/* One sample of every pixel of a tile: trace all, then all shadow rays, then add up; and again for what is seen through what they have met. */
+static void sample_tile(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny, uint32_t sample)
+{
+    const double sx = (sample % r->o->samples + 0.5) / r->o->samples, sy = (sample / r->o->samples + 0.5) / r->o->samples;
+    const svo_render_options *o = r->o;
+    uint32_t count = nx * ny;
+    for (uint32_t i = 0; i < count; i++) w->rays[i] = svo_render_ray(o, x0 + i % nx + sx, y0 + i / nx + sy), w->seen[i] = 1;
+    double t0 = svoi_thread_seconds();
+    svo_scene_trace(r->bvh, w->rays, count, w->hits);
+    w->stats.primary_seconds += svoi_thread_seconds() - t0;
+    w->stats.primary += count;
+    shade_hits(r, w, x0, y0, nx, count, sample);
+    if (r->planes != NULL) memcpy(w->first_hits, w->hits, sizeof w->hits), memcpy(w->first_normals, w->normals, sizeof w->normals);
+    while (r->see_through) {
+        t0 = svoi_thread_seconds();
+        bool more = trace_behind(r, w, count);
+        w->stats.primary_seconds += svoi_thread_seconds() - t0;
+        if (!more) break;
+        shade_hits(r, w, x0, y0, nx, count, sample);
+    }
 }
 
 static void store_planes(const renderer *r, const worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t ny)
 {
     const svo_render_planes *p = r->planes;
     for (uint32_t i = 0; i < nx * ny; i++) {
-        const svo_scene_hit *hit = &w->hits[i];
+        const svo_scene_hit *hit = &w->first_hits[i];
         uint64_t at = (uint64_t)(y0 + i / nx) * r->o->width + x0 + i % nx;
         bool is = hit->node.hit;
         if (p->depth != NULL) p->depth[at] = is ? (float)hit->node.t : INFINITY;
         if (p->normal != NULL) {
-            p->normal[3 * at] = is ? (float)w->normals[i].x : 0;
-            p->normal[3 * at + 1] = is ? (float)w->normals[i].y : 0;
-            p->normal[3 * at + 2] = is ? (float)w->normals[i].z : 0;
+            p->normal[3 * at] = is ? (float)w->first_normals[i].x : 0;
+            p->normal[3 * at + 1] = is ? (float)w->first_normals[i].y : 0;
+            p->normal[3 * at + 2] = is ? (float)w->first_normals[i].z : 0;
         }
         if (p->level != NULL) p->level[at] = is ? hit->node.level : UINT32_MAX;
         if (p->instance != NULL) p->instance[at] = is ? (uint32_t)r->scene->instance_id[svo_bvh_item(r->bvh, hit->item)->instance] : UINT32_MAX;
@@ -390,6 +407,10 @@ svo_result svo_render_with_planes(const svo_bvh *bvh, const svo_scene *scene, co
         r.channels[i].roughness = find_channel(v, "roughness", SVO_KIND_UNORM8);
         r.channels[i].bone = find_channel(v, "bone", SVO_KIND_ID16);
         if (r.channels[i].bone == SVO_MAX_CHANNELS) r.channels[i].bone = find_channel(v, "bone", SVO_KIND_ID32);
+        uint32_t coverage = r.channels[i].coverage = find_channel(v, "coverage", SVO_KIND_UNORM8);
+        if (coverage == SVO_MAX_CHANNELS || (v->channels[coverage].encoding == SVO_ENCODING_CONSTANT && v->channels[coverage].channel.value[0] == 255))
+            r.channels[i].coverage = SVO_MAX_CHANNELS;
+        else r.see_through = true;
     }
     svo_render_stats sum = {.parent_min = INFINITY};
     for (uint32_t t = 0; t < threads; t++) r.workers[t].stats.parent_min = INFINITY;

@@ -31,26 +31,17 @@ static void gather(const renderer *r, worker *w, uint32_t count)
     const svo_render_options *o = r->o;
     float direct[TILE_PIXELS];
     svo_vec3 normals[TILE_PIXELS];
-    uint32_t which[TILE_PIXELS], shadows = 0;
-    bool blocked[TILE_PIXELS];
     svo_scene_trace(r->bvh, w->more, count, w->more_hits);
     w->stats.secondary += count;
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->more_hits[i];
+        direct[i] = 0;
         if (!hit->node.hit) continue;
         w->stats.secondary_hits++;
         normals[i] = svoi_render_normal(r, &w->more[i], hit);
         direct[i] = (float)fmax(0, svo_dot(normals[i], r->light));
-        if (!o->shadows || !(direct[i] > 0)) continue;
-        svo_scene_ray shadow = {.direction = r->light, .t_min = 0, .t_max = INFINITY, .offset = w->more[i].offset};
-        shadow.origin = svo_render_shadow_origin(r->bvh, hit, normals[i]);
-        which[shadows] = i;
-        w->more_shadow[shadows++] = shadow;
     }
-    svo_scene_blocked_many(r->bvh, w->more_shadow, shadows, blocked);
-    w->stats.shadow += shadows;
-    for (uint32_t i = 0; i < shadows; i++)
-        if (blocked[i]) direct[which[i]] = 0, w->stats.blocked++;
+    if (o->shadows) svoi_render_shadows(r, w, w->more, w->more_hits, normals, count, direct);
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->more_hits[i];
         float sky = svoi_sky(svo_normalize(w->more[i].direction)), albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};

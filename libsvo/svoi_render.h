@@ -5,9 +5,10 @@
 #include "svo_render.h"
 
 /* Channels of an asset that shading uses; SVO_MAX_CHANNELS = not there. */
-typedef struct asset_channels { uint32_t color, normal, emissive, metallic, roughness, bone; } asset_channels;
+typedef struct asset_channels { uint32_t color, normal, emissive, metallic, roughness, bone, coverage; } asset_channels;
 
 enum { TILE = 16, TILE_PIXELS = TILE * TILE };
+#define SVOI_DARK (1.0f / 1024) /* a share of light that is not followed any further */
 
 /* What one thread needs; results are sums and extremes, the same for every division of work but for the seconds. */
 typedef struct worker {
@@ -15,8 +16,11 @@ typedef struct worker {
     svo_scene_hit hits[TILE_PIXELS];
     float sum[TILE_PIXELS][4]; /* linear light times coverage, and coverage */
     svo_vec3 normals[TILE_PIXELS];
+    float seen[TILE_PIXELS], cover[TILE_PIXELS]; /* share of the sample that is not covered yet; of it, what this hit covers */
+    svo_scene_hit first_hits[TILE_PIXELS];       /* of the sample, for the planes */
+    svo_vec3 first_normals[TILE_PIXELS];
     /* secondary rays */
-    svo_scene_ray more[TILE_PIXELS], more_shadow[TILE_PIXELS];
+    svo_scene_ray more[TILE_PIXELS];
     svo_scene_hit more_hits[TILE_PIXELS];
     float more_light[TILE_PIXELS][3];
     uint32_t more_pixel[TILE_PIXELS];
@@ -34,6 +38,7 @@ typedef struct renderer {
     svo_vec3 light;
     worker *workers;
     uint64_t tiles_x, tiles;
+    bool see_through; /* an asset has voxels that do not cover all behind them */
 } renderer;
 
 double svoi_thread_seconds(void);
@@ -41,6 +46,12 @@ bool svoi_render_color(const svo_view *v, uint32_t channel, uint64_t index, floa
 svo_vec3 svoi_render_normal(const renderer *r, const svo_scene_ray *ray, const svo_scene_hit *hit);
 /* Light from a direction in which nothing is; its mean over a hemisphere, weighted by the cosine, is 0.75 + 0.25 n.y. */
 static inline float svoi_sky(svo_vec3 d) { return (float)(0.75 + 0.375 * d.y); }
+
+/* Share of what is behind it that a hit with this normal covers; 1: all, and otherwise the ray's begin is moved behind the node. Where a ray goes
+ * through several voxels of a surface, each counts by the way inside, so that all together count as one surface. */
+float svoi_render_pass(const renderer *r, svo_scene_ray *ray, const svo_scene_hit *hit, svo_vec3 normal);
+/* Shadow rays for the hits with direct[i] > 0, which is multiplied by the share of light that arrives. At most TILE_PIXELS. */
+void svoi_render_shadows(const renderer *r, worker *w, const svo_scene_ray *from, const svo_scene_hit *hits, const svo_vec3 *normals, uint32_t count, float *direct);
 
 /* Fill in `around` and `mirrored` for the hits of a tile. `sample` numbers the samples of a pixel. */
 void svoi_render_secondary(const renderer *r, worker *w, uint32_t x0, uint32_t y0, uint32_t nx, uint32_t count, uint32_t sample);
