@@ -75,12 +75,12 @@ static svo_result keep_samples(const skeli_soup *mesh, const uint32_t *joint_of,
 
 /* The curve, and how good it is. surface is made here and the caller's to free. Refinement replaces mesh, joint_of and moved. */
 static svo_result curve(skeli_pool *pool, const skeli_soup *soup, skeli_model *m, const skeli_state *state, const double *position, uint64_t points, const uint32_t *corner,
-                        uint64_t triangles, const skel_options *o, skeli_surface *surface, skel_skeleton *out, svo_error *err)
+                        uint64_t triangles, const uint32_t *remap, const skel_options *o, skeli_surface *surface, skel_skeleton *out, svo_error *err)
 {
     skel_report *r = &out->report;
     double since = svo_seconds();
     bool needed = !o->skip_quality || o->place == SKEL_PLACE_INSIDE || o->solid_divide > 0;
-    if (needed) SVO_TRY(skeli_surface_make(pool, soup, position, points, corner, triangles, r, o->threads, surface, err));
+    if (needed) SVO_TRY(skeli_surface_make(pool, soup, position, points, corner, triangles, remap, r, o->threads, surface, err));
     skeli_phase(r, "surface", &since);
     m->surface = needed ? surface : NULL;
     SVO_TRY(skeli_extract(pool, &m->mesh, state, m->surface, o, out, m->joint_of, err));
@@ -120,7 +120,7 @@ static svo_result pipeline(skeli_pool *pool, const double *position, uint64_t po
     svo_result result = o->solid_divide > 0 ? skeli_solid_begin(o->allocator, &mesh, o->omega * SKEL_LATTICE, o->solid_divide, &solid, err) : SVO_OK;
     if (result == SVO_OK) result = skeli_contract(pool, &mesh, o, o->solid_divide > 0 ? &solid : NULL, r, &state, err);
     skeli_phase(r, "contract", &since);
-    if (result == SVO_OK) result = curve(pool, &soup, &model, &state, position, points, corner, triangles, o, &surface, out, err);
+    if (result == SVO_OK) result = curve(pool, &soup, &model, &state, position, points, corner, triangles, remap, o, &surface, out, err);
     if (result == SVO_OK && o->solid_divide > 0) result = skeli_solid_end(&solid, &surface, out, err);
     skeli_solid_free(&solid);
     skeli_surface_free(&surface);
@@ -227,7 +227,7 @@ static svo_result quality_of(skeli_pool *pool, const skeli_flat *f, const skel_s
     uint32_t *moved = skeli_take(pool, soup.vertex_count, sizeof *moved);
     if (moved == NULL) return skeli_no_memory(err);
     SVO_TRY(skeli_tessellate(pool, &soup, r.omega * SKEL_LATTICE, UINT32_MAX / 2, &mesh, moved, err));
-    svo_result result = skeli_surface_make(pool, &soup, f->position, f->points, f->corner, f->triangles, &r, threads, &surface, err);
+    svo_result result = skeli_surface_make(pool, &soup, f->position, f->points, f->corner, f->triangles, remap, &r, threads, &surface, err);
     if (result == SVO_OK) result = skeli_quality_of(pool, &surface, &mesh, s, r.centre, r.unit, threads, q, err);
     skeli_surface_free(&surface);
     return result;

@@ -179,14 +179,6 @@ static void morton_order(const int32_t *position, uint64_t count, uint32_t *orde
     skeli_sort_by64(order, scratch, count, key, 63);
 }
 
-static void sort3(uint32_t *t)
-{
-    uint32_t x;
-    if (t[0] > t[1]) { x = t[0]; t[0] = t[1]; t[1] = x; }
-    if (t[1] > t[2]) { x = t[1]; t[1] = t[2]; t[2] = x; }
-    if (t[0] > t[1]) { x = t[0]; t[0] = t[1]; t[1] = x; }
-}
-
 static bool same_point(const int32_t *a, const int32_t *b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; }
 
 svo_result skeli_canonical(skeli_pool *pool, const int32_t *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
@@ -228,7 +220,7 @@ svo_result skeli_canonical(skeli_pool *pool, const int32_t *position, uint64_t p
         memcpy(out->position + 3 * (uint64_t)remap[order[i]], position + 3 * (uint64_t)order[i], 3 * sizeof *position);
     for (uint64_t t = 0; t < n; t++) {
         for (int k = 0; k < 3; k++) kept[3 * t + (uint64_t)k] = remap[kept[3 * t + (uint64_t)k]];
-        sort3(kept + 3 * t);
+        skeli_sort3(kept + 3 * t);
     }
     out->vertex_count = vertices;
     out->triangle_count = (uint32_t)skeli_sort_unique(kept, n, 3, vertices, sorted, scratch);

@@ -249,12 +249,50 @@ svo_result skeli_surface_tree(skeli_pool *pool, const skeli_soup *soup, skeli_su
     return make_tree(pool, s, err);
 }
 
+/* Triangles that lie at the same place more than once (both sides of a sheet that is drawn from both sides), once: those in opposite directions would cancel in every winding
+ * number. Left as they are where there are none. */
+static svo_result without_doubles(skeli_pool *pool, const skeli_soup *soup, const uint32_t *remap, const uint32_t **corner, uint64_t *triangles, svo_error *err)
+{
+    const uint32_t *given = *corner;
+    uint64_t n = 0, kept = 0, capacity = 64;
+    for (uint64_t t = 0; t < *triangles; t++) {
+        uint32_t a = remap[given[3 * t]], b = remap[given[3 * t + 1]], c = remap[given[3 * t + 2]];
+        n += a != SVO_NONE && b != SVO_NONE && c != SVO_NONE && !(a == b && b == c);
+    }
+    if (n == soup->triangle_count) return SVO_OK;
+    while (capacity < 2 * n) capacity *= 2;
+    uint32_t *slot = skeli_take(pool, capacity, sizeof *slot), *out = skeli_take(pool, 3 * n, sizeof *out);
+    if (slot == NULL || out == NULL) return skeli_no_memory(err);
+    memset(slot, 0xff, capacity * sizeof *slot);
+    for (uint64_t t = 0; t < *triangles; t++) {
+        uint32_t v[3];
+        for (int k = 0; k < 3; k++) v[k] = remap[given[3 * t + (uint64_t)k]];
+        if (v[0] == SVO_NONE || v[1] == SVO_NONE || v[2] == SVO_NONE || (v[0] == v[1] && v[1] == v[2])) continue;
+        skeli_sort3(v);
+        uint64_t i = skeli_hash3(v) & (capacity - 1);
+        for (; slot[i] != UINT32_MAX; i = (i + 1) & (capacity - 1)) {
+            uint32_t w[3];
+            for (int k = 0; k < 3; k++) w[k] = remap[out[3 * (uint64_t)slot[i] + (uint64_t)k]];
+            skeli_sort3(w);
+            if (w[0] == v[0] && w[1] == v[1] && w[2] == v[2]) break;
+        }
+        if (slot[i] != UINT32_MAX) continue;
+        slot[i] = (uint32_t)kept;
+        memcpy(out + 3 * kept++, given + 3 * t, 3 * sizeof *out);
+    }
+    skeli_give(pool, slot);
+    *corner = out;
+    *triangles = kept;
+    return SVO_OK;
+}
+
 svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
-                              const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
+                              const uint32_t *remap, const skel_report *report, uint32_t threads, skeli_surface *s, svo_error *err)
 {
     SVO_TRY(skeli_surface_tree(pool, soup, s, err));
     SVO_TRY(skeli_surface_genus(pool, soup, &s->genus, err));
     if (soup->triangle_count == 0) return SVO_OK;
+    SVO_TRY(without_doubles(pool, soup, remap, &corner, &triangles, err));
     /* a const model in a struct that has no const: nothing writes to it */
     memcpy(&s->part.positions, &position, sizeof position);
     memcpy(&s->part.indices, &corner, sizeof corner);

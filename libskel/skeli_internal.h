@@ -62,6 +62,19 @@ static inline double skeli_area(const double *a, const double *b, const double *
     double x = u[1] * v[2] - u[2] * v[1], y = u[2] * v[0] - u[0] * v[2], z = u[0] * v[1] - u[1] * v[0];
     return 0.5 * __builtin_sqrt(x * x + y * y + z * z);
 }
+static inline void skeli_sort3(uint32_t *t)
+{
+    uint32_t x;
+    if (t[0] > t[1]) { x = t[0]; t[0] = t[1]; t[1] = x; }
+    if (t[1] > t[2]) { x = t[1]; t[1] = t[2]; t[2] = x; }
+    if (t[0] > t[1]) { x = t[0]; t[0] = t[1]; t[1] = x; }
+}
+static inline uint64_t skeli_hash3(const uint32_t *t)
+{
+    uint64_t h = (t[0] * 0x9e3779b97f4a7c15ull ^ t[1]) * 0xc2b2ae3d27d4eb4full ^ t[2];
+    h *= 0x165667b19e3779f9ull;
+    return h ^ h >> 29;
+}
 /* One-ring area of every vertex (the triangles around it), into ring[vertex_count], square lattice steps. */
 void skeli_rings(const skeli_soup *s, const double *position, double *ring);
 

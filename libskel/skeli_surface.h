@@ -28,9 +28,9 @@ typedef struct skeli_surface {
     skeli_genus genus;
 } skeli_surface;
 
-/* position, corner: the model as it was given (they and soup are borrowed); report has the normalisation. Zero-initialise before; free also on failure. */
+/* position, corner: the model as it was given, remap: its points in the soup (all are borrowed); report has the normalisation. Zero-initialise before; free also on failure. */
 svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles,
-                              const skel_report *report, uint32_t threads, skeli_surface *out, svo_error *err);
+                              const uint32_t *remap, const skel_report *report, uint32_t threads, skeli_surface *out, svo_error *err);
 /* Distances and rays alone: nothing is inside. */
 svo_result skeli_surface_tree(skeli_pool *pool, const skeli_soup *soup, skeli_surface *out, svo_error *err);
 void skeli_surface_free(skeli_surface *s);

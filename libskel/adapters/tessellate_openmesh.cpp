@@ -68,8 +68,11 @@ extern "C" svo_result skeli_split_openmesh(skeli_prepared *p, double length, uin
             if (distinct && m.add_face(corner).is_valid()) continue;
             report.triangles_apart++;
             if (m.n_vertices() + 3 > max_points) too_many(max_points);
-            for (std::size_t k = 0; k < 3; k++) // a point that nothing else has yet can stay
-                if (!m.is_isolated(corner[k]) || (k > 0 && corner[k] == corner[0]) || (k > 1 && corner[k] == corner[1])) corner[k] = m.add_vertex(m.point(corner[k]));
+            for (std::size_t k = 0; k < 3; k++) { // a point that nothing else has yet can stay
+                if (m.is_isolated(corner[k]) && !(k > 0 && corner[k] == corner[0]) && !(k > 1 && corner[k] == corner[1])) continue;
+                const OpenMesh::Vec3d at = m.point(corner[k]); // a copy: the points move while their array grows
+                corner[k] = m.add_vertex(at);
+            }
             if (!m.add_face(corner).is_valid()) svo_throw(SVO_RUNTIME, "--tessellate openmesh: a triangle of its own is refused");
         }
         const double least = length * length;
