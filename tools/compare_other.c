@@ -19,6 +19,16 @@ static svo_result validate(compare_job *j, const compare_input *in, skel_skeleto
     return svo_fail(err, SVO_UNSUPPORTED, "files of this kind cannot be compared");
 }
 
+static double length_of(const skel_skeleton *s)
+{
+    double sum = 0;
+    for (uint32_t i = 0; i < s->bone_count; i++) {
+        const double *p = s->joints[s->bones[i].a].position, *q = s->joints[s->bones[i].b].position;
+        sum += sqrt((p[0] - q[0]) * (p[0] - q[0]) + (p[1] - q[1]) * (p[1] - q[1]) + (p[2] - q[2]) * (p[2] - q[2]));
+    }
+    return sum;
+}
+
 /* Joints are numbered in a fixed order, so equal runs give equal numbers; distances are between joints of one number. */
 static void compare_skeletons(compare_job *j, const skel_skeleton *a, const skel_skeleton *b)
 {
@@ -29,6 +39,17 @@ static void compare_skeletons(compare_job *j, const skel_skeleton *a, const skel
         cli_put_u64(side, "joints", both[i]->joint_count);
         cli_put_u64(side, "bones", both[i]->bone_count);
         cli_put_u64(side, "mapped", both[i]->map_count);
+        const skel_report *r = &both[i]->report;
+        cli_put_f64(side, "omega", r->omega);
+        json_object_set_new(side, "converged", json_boolean(r->converged));
+        cli_put_u64(side, "components", r->components);
+        cli_put_u64(side, "ends", r->ends);
+        cli_put_u64(side, "branches", r->branches);
+        cli_put_u64(side, "loops", r->loops);
+        cli_put_f64(side, "length", length_of(both[i]));
+        cli_put_f64(side, "thinness_percent", r->thinness_error);
+        cli_put_f64(side, "surface_distance_mean", r->surface_distance_mean);
+        cli_put_f64(side, "reconstruction_mean", r->reconstruction_mean);
     }
     if (a->joint_count == b->joint_count) {
         double sum = 0, max = 0;
@@ -53,6 +74,7 @@ static void compare_skeletons(compare_job *j, const skel_skeleton *a, const skel
     cli_put_f64(o, "curve_distance_mean_b_to_a", d.mean[1]);
     cli_put_f64(o, "hausdorff", fmax(d.max[0], d.max[1]));
     cli_put_f64(o, "hausdorff_percent_of_unit", 100 * fmax(d.max[0], d.max[1]) / unit);
+    cli_put_f64(o, "curve_distance_mean_percent_of_unit", 100 * fmax(d.mean[0], d.mean[1]) / unit);
     cli_put_f64(o, "curve_distance_mean_omegas", fmax(d.mean[0], d.mean[1]) / omega);
     if (a->map_count == b->map_count) {
         uint64_t moved = 0;

@@ -27,7 +27,8 @@ static void print_side(const json_t *o, const char *name)
     if (json_object_get(side, "depth") != NULL)
         printf("  %s, depth %llu, %llu voxels", text(side, "format"), count(side, "depth"), count(side, "voxels"));
     if (json_object_get(side, "joints") != NULL)
-        printf("  %llu joints, %llu bones, %llu mapped", count(side, "joints"), count(side, "bones"), count(side, "mapped"));
+        printf("  %llu joints, %llu bones, %llu ends, %llu branches, %llu loops, %llu components, %llu mapped; reconstruction error %.3g %%", count(side, "joints"), count(side, "bones"),
+               count(side, "ends"), count(side, "branches"), count(side, "loops"), count(side, "components"), count(side, "mapped"), number(side, "reconstruction_mean"));
     putchar('\n');
 }
 
