@@ -1,5 +1,6 @@
 /* Skeletons of voxels: the octree is read once, at a level that is fine enough for omega; what cannot be reached from outside is filled; the
- * outer boundary becomes a mesh of quads welded at the corners of the grid, and that goes the way of every mesh. */
+ * outer boundary becomes a mesh of quads welded at the corners of the grid, and that goes the way of every mesh. Where voxels have normals, those of neighbours that face each other say that
+ * there is a gap between them which is narrower than the voxels: there the boundary passes between them. */
 #include "skeli_internal.h"
 
 #include <math.h>
@@ -15,6 +16,9 @@ enum { MAX_LEVEL = 10 };                   /* 1024^3 cells: 128 MiB a bit set */
 typedef struct cells {
     const svo_allocator *allocator;
     svo_buffer code, voxels; /* u32, u32 */
+    svo_buffer normal;       /* float[3] of each cell, sums over its voxels; empty without normals */
+    uint32_t channel;        /* of normals; SVO_NONE: none */
+    const svo_chunk *chunk;  /* being read */
     uint32_t level, shift;   /* shift: levels between the cells and the finest voxels */
     uint64_t count, total;
     bool failed, too_many;
@@ -22,12 +26,14 @@ typedef struct cells {
 
 static inline uint32_t *codes(const cells *c) { return (uint32_t *)(void *)c->code.data; }
 static inline uint32_t *counts(const cells *c) { return (uint32_t *)(void *)c->voxels.data; }
+static inline float *normals(const cells *c) { return (float *)(void *)c->normal.data; }
 
 /* `voxels` finest voxels in the cell with this code, which comes after all others or is the last one. */
-static bool add_to_cell(cells *c, uint32_t code, uint32_t voxels)
+static bool add_to_cell(cells *c, uint32_t code, uint32_t voxels, const float normal[3])
 {
     if (c->count > 0 && codes(c)[c->count - 1] == code && counts(c)[c->count - 1] <= UINT32_MAX - voxels) {
         counts(c)[c->count - 1] += voxels;
+        for (uint64_t k = 0; k < 3 && c->channel != SVO_NONE; k++) normals(c)[3 * (c->count - 1) + k] += normal[k] * (float)voxels;
         return true;
     }
     if (c->count == MAX_CELLS) {
@@ -35,6 +41,8 @@ static bool add_to_cell(cells *c, uint32_t code, uint32_t voxels)
         return false;
     }
     c->failed = svo_buffer_append(&c->code, &code, 4) == NULL || svo_buffer_append(&c->voxels, &voxels, 4) == NULL;
+    const float sum[3] = {normal[0] * (float)voxels, normal[1] * (float)voxels, normal[2] * (float)voxels};
+    c->failed = c->failed || (c->channel != SVO_NONE && svo_buffer_append(&c->normal, sum, sizeof sum) == NULL);
     c->count++;
     return !c->failed;
 }
@@ -43,7 +51,8 @@ static bool add_to_cell(cells *c, uint32_t code, uint32_t voxels)
 static bool add_value(void *user, const uint32_t low[3], uint32_t size, uint64_t index)
 {
     cells *c = user;
-    (void)index;
+    float normal[3] = {0, 0, 0};
+    if (c->channel != SVO_NONE && size == 1) svo_oct32_decode(c->chunk->channels[c->channel] + 4 * index, normal); /* full leaves are inside */
     const uint64_t voxels = (uint64_t)size * size * size;
     if (voxels > MAX_VOXELS || (c->total += voxels) > MAX_VOXELS) {
         c->too_many = true;
@@ -51,9 +60,9 @@ static bool add_value(void *user, const uint32_t low[3], uint32_t size, uint64_t
     }
     const uint32_t first = (uint32_t)svo_morton_encode(low[0] >> c->shift, low[1] >> c->shift, low[2] >> c->shift); /* at most 30 bits */
     const uint32_t side = size >> c->shift, cell = 1u << 3 * (c->shift < 10 ? c->shift : 10);
-    if (side <= 1) return add_to_cell(c, first, (uint32_t)(voxels < cell ? voxels : cell));
+    if (side <= 1) return add_to_cell(c, first, (uint32_t)(voxels < cell ? voxels : cell), normal);
     for (uint32_t i = 0; i < side * side * side; i++)
-        if (!add_to_cell(c, first + i, cell)) return false;
+        if (!add_to_cell(c, first + i, cell, normal)) return false;
     return true;
 }
 
@@ -69,7 +78,9 @@ static svo_result read_cells(const svo_chunk_source *source, cells *c, svo_error
         if (result != SVO_OK || !more) break;
         result = source->decode(source->user, &packed, &storage, &chunk, err);
         if (result != SVO_OK) break;
+        c->chunk = &chunk;
         svo_chunk_values(&chunk, add_value, c);
+        c->chunk = NULL;
         if (c->too_many) result = svo_fail(err, SVO_LIMIT, "the octree has more voxels than a skeleton is built from (2^32, and 2^27 at level %u)", c->level);
         else if (c->failed) result = skeli_no_memory(err);
     }
@@ -88,8 +99,10 @@ static void coarsen(cells *c, uint32_t level)
         uint32_t code = codes(c)[i] >> by;
         if (n > 0 && codes(c)[n - 1] == code && (uint64_t)counts(c)[n - 1] + counts(c)[i] <= UINT32_MAX) {
             counts(c)[n - 1] += counts(c)[i];
+            for (uint64_t k = 0; k < 3 && c->channel != SVO_NONE; k++) normals(c)[3 * (n - 1) + k] += normals(c)[3 * i + k];
         } else {
             codes(c)[n] = code;
+            if (c->channel != SVO_NONE) memmove(normals(c) + 3 * n, normals(c) + 3 * i, 3 * sizeof(float));
             counts(c)[n++] = counts(c)[i];
         }
     }
@@ -206,21 +219,103 @@ static const uint32_t side_corner[6][4][3] = {
     {{0, 1, 0}, {0, 1, 1}, {1, 1, 1}, {1, 1, 0}}, {{0, 0, 0}, {0, 1, 0}, {1, 1, 0}, {1, 0, 0}}, {{0, 0, 1}, {1, 0, 1}, {1, 1, 1}, {0, 1, 1}},
 };
 
-/* Corners of the grid that the boundary uses, by number of the corner. */
+/* --- gaps ---------------------------------------------------------------------------------------------------------- */
+
+#define FACING 0.35 /* least cosine of a normal and the way to the other voxel */
+#define CERTAIN 0.3 /* length of a cell's mean normal from which on it says something */
+
+static uint64_t find_cell(const cells *c, uint32_t code)
+{
+    uint64_t low = 0, high = c->count;
+    while (low < high) {
+        uint64_t middle = (low + high) / 2;
+        if (codes(c)[middle] < code) low = middle + 1;
+        else high = middle;
+    }
+    return low < c->count && codes(c)[low] == code ? low : UINT64_MAX;
+}
+
+/* Do the normals of two cells that touch face each other, d the way from a to b in cells? Those of a thin part face away from each other. */
+static bool facing(const cells *c, uint64_t a, uint64_t b, const int d[3])
+{
+    double x = 0, y = 0, aa = 0, bb = 0, dd = 0;
+    for (uint64_t k = 0; k < 3; k++) {
+        const double p = normals(c)[3 * a + k], q = normals(c)[3 * b + k];
+        x += p * d[k];
+        y += q * d[k];
+        aa += p * p;
+        bb += q * q;
+        dd += d[k] * d[k];
+    }
+    const double na = counts(c)[a], nb = counts(c)[b];
+    if (!(aa > CERTAIN * CERTAIN * na * na) || !(bb > CERTAIN * CERTAIN * nb * nb)) return false;
+    return x >= FACING * sqrt(aa * dd) && y <= -FACING * sqrt(bb * dd);
+}
+
+/* Which of the 8 cells around a corner hang together with `cell` (bit numbers x + 2 y + 4 z): all that are not outside; where there is a gap between any of them, those that are reached
+ * through sides without one. */
+static uint32_t sheet(const cells *c, const bits *b, const uint32_t corner[3], uint32_t cell)
+{
+    uint32_t solid = 0, linked = 1u << cell, gaps = 0, beside[8];
+    uint64_t at[8];
+    for (uint32_t k = 0; k < 8; k++) solid |= (uint32_t)!is_outside(b, corner[0] - 1 + (k & 1), corner[1] - 1 + (k >> 1 & 1), corner[2] - 1 + (k >> 2)) << k;
+    for (uint32_t k = 0; k < 8; k++) {
+        at[k] = UINT64_MAX;
+        beside[k] = 0;
+        if ((solid >> k & 1) != 0) at[k] = find_cell(c, (uint32_t)svo_morton_encode(corner[0] - 1 + (k & 1), corner[1] - 1 + (k >> 1 & 1), corner[2] - 1 + (k >> 2)));
+    }
+    for (uint32_t x = 0; x < 8; x++)
+        for (uint32_t y = x + 1; y < 8; y++) {
+            if ((solid >> x & 1) == 0 || (solid >> y & 1) == 0) continue;
+            const int d[3] = {(int)(y & 1) - (int)(x & 1), (int)(y >> 1 & 1) - (int)(x >> 1 & 1), (int)(y >> 2) - (int)(x >> 2)};
+            const bool gap = at[x] != UINT64_MAX && at[y] != UINT64_MAX && facing(c, at[x], at[y], d);
+            gaps += gap;
+            if (gap || ((x ^ y) & ((x ^ y) - 1)) != 0) continue; /* not a side of both */
+            beside[x] |= 1u << y;
+            beside[y] |= 1u << x;
+        }
+    if (gaps == 0) return solid;
+    for (uint32_t before = 0; before != linked;) {
+        before = linked;
+        for (uint32_t k = 0; k < 8; k++)
+            if ((linked >> k & 1) != 0) linked |= beside[k];
+    }
+    return linked;
+}
+
+/* --- boundary of sheets ----------------------------------------------------------------------------------------------- */
+
+/* Corners of the grid that the boundary uses, by number of the corner and sheet: 0, or where several sheets meet, one more than the first of its cells. */
 typedef struct corners {
-    uint32_t *key, *index; /* SVO_NONE = empty slot */
+    uint64_t *key;   /* UINT64_MAX = empty slot */
+    uint32_t *index;
     uint64_t mask;
     uint32_t count;
     uint32_t side; /* n + 1 */
 } corners;
 
-static uint64_t corner_slot(const corners *c, uint32_t key)
+static uint64_t corner_slot(const corners *c, uint64_t key)
 {
     uint64_t h = key * 0x9e3779b97f4a7c15ull, i = (h ^ h >> 32) & c->mask;
-    while (c->key[i] != SVO_NONE && c->key[i] != key) i = (i + 1) & c->mask;
+    while (c->key[i] != UINT64_MAX && c->key[i] != key) i = (i + 1) & c->mask;
     return i;
 }
-static uint32_t corner_key(const corners *c, uint32_t x, uint32_t y, uint32_t z) { return (z * c->side + y) * c->side + x; /* < 1025^3 < 2^31 */ }
+
+/* Key of a corner as the cell sees it; *sheet_of its sheet's cells where several sheets meet, else 0. */
+static uint64_t corner_key(const corners *c, const cells *all, const bits *b, const uint32_t at[3], const uint32_t from[3], uint32_t *sheet_of)
+{
+    const uint64_t number = ((uint64_t)at[2] * c->side + at[1]) * c->side + at[0];
+    *sheet_of = 0;
+    if (all->channel == SVO_NONE) return 16 * number;
+    uint32_t solid = 0, cell = 0, first = 0;
+    for (uint32_t k = 0; k < 3; k++) cell |= (from[k] + 1 - at[k]) << k;
+    for (uint32_t k = 0; k < 8; k++) solid |= (uint32_t)!is_outside(b, at[0] - 1 + (k & 1), at[1] - 1 + (k >> 1 & 1), at[2] - 1 + (k >> 2)) << k;
+    const uint32_t own = sheet(all, b, at, cell);
+    if (own == solid) return 16 * number;
+    while ((own >> first & 1) == 0) first++;
+    *sheet_of = own;
+    return 16 * number + 1 + first;
+}
 
 typedef struct boundary {
     corners corner;
@@ -229,14 +324,25 @@ typedef struct boundary {
     uint64_t points, triangles;
 } boundary;
 
+/* Is there boundary between a cell and the one beside it on this side? */
+static bool is_side(const cells *c, const bits *b, uint64_t cell, const uint32_t p[3], int s)
+{
+    const uint32_t q[3] = {p[0] + side_step[s][0], p[1] + side_step[s][1], p[2] + side_step[s][2]};
+    if (is_outside(b, q[0], q[1], q[2])) return true;
+    if (c->channel == SVO_NONE) return false;
+    const uint64_t other = find_cell(c, (uint32_t)svo_morton_encode(q[0], q[1], q[2]));
+    const int d[3] = {(int)side_step[s][0], (int)side_step[s][1], (int)side_step[s][2]};
+    return other != UINT64_MAX && facing(c, cell, other, d);
+}
+
 static uint64_t count_quads(const cells *c, const bits *b)
 {
     uint64_t n = 0;
     for (uint64_t i = 0; i < c->count; i++) {
-        uint32_t x, y, z;
-        svo_morton_decode(codes(c)[i], &x, &y, &z);
+        uint32_t p[3];
+        svo_morton_decode(codes(c)[i], &p[0], &p[1], &p[2]);
         if (i > 0 && codes(c)[i] == codes(c)[i - 1]) continue;
-        for (int s = 0; s < 6; s++) n += is_outside(b, x + side_step[s][0], y + side_step[s][1], z + side_step[s][2]);
+        for (int s = 0; s < 6; s++) n += is_side(c, b, i, p, s);
     }
     return n;
 }
@@ -263,18 +369,26 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
         if (i > 0 && codes(c)[i] == codes(c)[i - 1]) continue;
         svo_morton_decode(codes(c)[i], &p[0], &p[1], &p[2]);
         for (int s = 0; s < 6; s++) {
-            if (!is_outside(b, p[0] + side_step[s][0], p[1] + side_step[s][1], p[2] + side_step[s][2])) continue;
+            if (!is_side(c, b, i, p, s)) continue;
             uint32_t q[4];
             for (int k = 0; k < 4; k++) {
                 uint32_t at[3];
                 for (int e = 0; e < 3; e++) at[e] = p[e] + side_corner[s][k][e];
-                uint64_t slot = corner_slot(&out->corner, corner_key(&out->corner, at[0], at[1], at[2]));
-                if (out->corner.key[slot] == SVO_NONE) {
-                    out->corner.key[slot] = corner_key(&out->corner, at[0], at[1], at[2]);
+                uint32_t own;
+                const uint64_t key = corner_key(&out->corner, c, b, at, p, &own), slot = corner_slot(&out->corner, key);
+                if (out->corner.key[slot] == UINT64_MAX) {
+                    double to[3], moved[3] = {0, 0, 0}, members = 0;
+                    for (uint32_t m = 0; m < 8; m++) { /* sheets draw back from each other by up to a quarter of a cell */
+                        if ((own >> m & 1) == 0) continue;
+                        members++;
+                        for (int e = 0; e < 3; e++) moved[e] += (m >> e & 1) != 0 ? 0.25 : -0.25;
+                    }
+                    for (int e = 0; e < 3; e++) to[e] = at[e] + (members > 0 ? moved[e] / members : 0);
+                    out->corner.key[slot] = key;
                     out->corner.index[slot] = out->corner.count++;
                     for (int e = 0; e < 3; e++)
                         out->position[3 * out->points + (uint64_t)e] =
-                            to_world[4 * e] * at[0] * scale + to_world[4 * e + 1] * at[1] * scale + to_world[4 * e + 2] * at[2] * scale + to_world[4 * e + 3];
+                            to_world[4 * e] * to[0] * scale + to_world[4 * e + 1] * to[1] * scale + to_world[4 * e + 2] * to[2] * scale + to_world[4 * e + 3];
                     out->points++;
                 }
                 q[k] = out->corner.index[slot];
@@ -288,17 +402,6 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
 }
 
 /* --- map ---------------------------------------------------------------------------------------------------------- */
-
-static uint64_t find_cell(const cells *c, uint32_t code)
-{
-    uint64_t low = 0, high = c->count;
-    while (low < high) {
-        uint64_t middle = (low + high) / 2;
-        if (codes(c)[middle] < code) low = middle + 1;
-        else high = middle;
-    }
-    return low < c->count && codes(c)[low] == code ? low : UINT64_MAX;
-}
 
 static uint32_t nearest_joint(const skel_skeleton *s, const double *centre, const uint32_t *among, uint32_t count)
 {
@@ -318,7 +421,7 @@ static uint32_t nearest_joint(const skel_skeleton *s, const double *centre, cons
 
 /* Joint of each cell: the nearest of those its corners on the boundary are mapped to. Cells without such a corner take that of the cells
  * they touch, from outside inwards; what touches none, the nearest joint. */
-static svo_result map_cells(skeli_pool *pool, const cells *c, const boundary *b, const double *to_world, const skel_skeleton *s, uint32_t *joint,
+static svo_result map_cells(skeli_pool *pool, const cells *c, const bits *grid, const boundary *b, const double *to_world, const skel_skeleton *s, uint32_t *joint,
                             svo_error *err)
 {
     uint32_t *queue = skeli_take(pool, c->count, sizeof *queue);
@@ -334,8 +437,10 @@ static svo_result map_cells(skeli_pool *pool, const cells *c, const boundary *b,
             for (int e = 0; e < 3; e++)
                 centre[e] = (to_world[4 * e] * (p[0] + 0.5) + to_world[4 * e + 1] * (p[1] + 0.5) + to_world[4 * e + 2] * (p[2] + 0.5)) * scale + to_world[4 * e + 3];
             for (uint32_t k = 0; k < 8 && pass == 0; k++) {
-                uint64_t slot = corner_slot(&b->corner, corner_key(&b->corner, p[0] + (k & 1), p[1] + (k >> 1 & 1), p[2] + (k >> 2)));
-                if (b->corner.key[slot] != SVO_NONE && s->map[b->corner.index[slot]] != SVO_NONE) among[n++] = s->map[b->corner.index[slot]];
+                const uint32_t at[3] = {p[0] + (k & 1), p[1] + (k >> 1 & 1), p[2] + (k >> 2)};
+                uint32_t own;
+                uint64_t slot = corner_slot(&b->corner, corner_key(&b->corner, c, grid, at, p, &own));
+                if (b->corner.key[slot] != UINT64_MAX && s->map[b->corner.index[slot]] != SVO_NONE) among[n++] = s->map[b->corner.index[slot]];
             }
             joint[i] = pass == 1 ? nearest_joint(s, centre, NULL, s->joint_count) : n > 0 ? nearest_joint(s, centre, among, n) : SVO_NONE;
             if (joint[i] != SVO_NONE && pass == 0) queue[tail++] = (uint32_t)i;
@@ -357,11 +462,11 @@ static svo_result map_cells(skeli_pool *pool, const cells *c, const boundary *b,
     return SVO_OK;
 }
 
-static svo_result map_voxels(skeli_pool *pool, const cells *c, const boundary *b, const double *to_world, skel_skeleton *s, svo_error *err)
+static svo_result map_voxels(skeli_pool *pool, const cells *c, const bits *grid, const boundary *b, const double *to_world, skel_skeleton *s, svo_error *err)
 {
     uint32_t *joint = skeli_take(pool, c->count, sizeof *joint);
     uint32_t *map = svo_alloc(s->allocator, c->total, sizeof *map);
-    svo_result result = joint == NULL || map == NULL ? skeli_no_memory(err) : map_cells(pool, c, b, to_world, s, joint, err);
+    svo_result result = joint == NULL || map == NULL ? skeli_no_memory(err) : map_cells(pool, c, grid, b, to_world, s, joint, err);
     if (result != SVO_OK) {
         svo_free(s->allocator, map, c->total, sizeof *map);
         return result;
@@ -400,7 +505,6 @@ static svo_result build(skeli_pool *pool, const svo_tree_info *info, cells *c, c
     boundary edge = {0};
     SVO_TRY(make_boundary(pool, c, &b, info->voxel_to_world, o->max_vertices != 0 ? o->max_vertices : 8000000, &edge, err));
     skeli_give(pool, b.occupied);
-    skeli_give(pool, b.outside);
     skel_skeleton s;
     double boundary_seconds = svo_seconds() - since;
     SVO_TRY(skeli_pipeline(edge.position, edge.points, edge.triangle, edge.triangles, o, &s, err));
@@ -408,7 +512,7 @@ static svo_result build(skeli_pool *pool, const svo_tree_info *info, cells *c, c
     s.report.voxel_level = c->level;
     if (s.report.phase_count < SKEL_MAX_PHASES) s.report.phases[s.report.phase_count++] = (skel_phase){"boundary", boundary_seconds};
     s.report.voxel_depth = info->depth;
-    svo_result result = map_voxels(pool, c, &edge, info->voxel_to_world, &s, err);
+    svo_result result = map_voxels(pool, c, &b, &edge, info->voxel_to_world, &s, err);
     if (result != SVO_OK) {
         skel_skeleton_free(&s);
         return result;
@@ -425,11 +529,16 @@ svo_result skel_build_voxels(const svo_tree_info *info, const svo_chunk_source *
     c.shift = info->depth - c.level;
     svo_buffer_init(&c.code, options->allocator);
     svo_buffer_init(&c.voxels, options->allocator);
+    svo_buffer_init(&c.normal, options->allocator);
+    c.channel = SVO_NONE;
+    for (uint32_t k = 0; k < info->channel_count; k++)
+        if (info->channels[k].kind == SVO_KIND_NORMAL_OCT32 && !info->channels[k].constant && strcmp(info->channels[k].name, "normal") == 0) c.channel = k;
     skeli_pool pool = {.allocator = options->allocator};
     svo_result result = read_cells(source, &c, err);
     if (result == SVO_OK) result = build(&pool, info, &c, options, out, err);
     skeli_pool_free(&pool);
     svo_buffer_free(&c.code);
     svo_buffer_free(&c.voxels);
+    svo_buffer_free(&c.normal);
     return result;
 }

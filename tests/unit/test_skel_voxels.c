@@ -293,3 +293,93 @@ TEST(plates_nearer_than_omega_and_not)
     tree_free(&t);
     shape_free(&s);
 }
+
+/* --- normals keep parts apart ------------------------------------------------------------------------------------------ */
+
+/* The voxels with a normal each, from the box of its part: 0 and 1 are the two rods or legs. */
+static void add_normals(tree *t, int gap, bool hook)
+{
+    t->info.channel_count = 1;
+    t->info.channels[0] = (svo_channel){.name = "normal", .kind = SVO_KIND_NORMAL_OCT32};
+    t->values[0] = malloc(4 * t->count);
+    for (uint64_t i = 0; i < t->count; i++) {
+        uint32_t x, y, z;
+        svo_morton_decode(t->codes[i], &x, &y, &z);
+        const int low = (int)y < 14 ? 10 : 14 + gap, in = (int)y - low; /* 0 .. 3 across */
+        float n[3] = {0, in == 0 ? -1.0f : in == 3 ? 1.0f : 0, z == 10 ? -1.0f : z == 13 ? 1.0f : 0};
+        if (hook && x < 6) n[1] = y == 10 ? -1.0f : (int)y == 17 + gap ? 1.0f : 0;
+        if (hook && x < 6 && n[1] == 0) n[0] = x == 5 && (y == 13 || (int)y == 14 + gap) ? 0.2f : 0;
+        if (n[0] == 0 && n[1] == 0 && n[2] == 0) n[2] = 1;
+        svo_oct32_encode(n, t->values[0] + 4 * i);
+    }
+}
+
+static int part_gap;
+static bool near_rods(int x, int y, int z, int n)
+{
+    (void)n;
+    return x >= 2 && x < 30 && z >= 10 && z < 14 && ((y >= 10 && y < 14) || (y >= 14 + part_gap && y < 18 + part_gap));
+}
+static bool near_legs(int x, int y, int z, int n) { return near_rods(x, y, z, n) || (x >= 2 && x < 6 && z >= 10 && z < 14 && y >= 10 && y < 18 + part_gap); }
+
+/* Rods whose voxels touch, the gap between them being narrower than a voxel, and 1 and 2 voxels apart; at an omega below and above the distance of their axes. */
+TEST(rods_that_normals_keep_apart)
+{
+    for (part_gap = 0; part_gap <= 2 && !test_failed(); part_gap++)
+        for (int wide = 0; wide < 2 && !test_failed(); wide++) {
+            tree t = make(5, near_rods, false);
+            add_normals(&t, part_gap, false);
+            skel_options o = options(wide != 0 ? 0.16 : 0.07);
+            skel_skeleton s;
+            CHECK_OK(build(&t, &o, &s));
+            CHECK_OK(skel_check(&s, &err));
+            CHECK_U64(s.report.quality.surface_components, 2);
+            CHECK_U64(s.report.components, 2);
+            CHECK_U64(s.report.ends, 4);
+            CHECK_U64(s.report.loops, 0);
+            for (uint64_t i = 0; i < t.count; i++) { /* each voxel goes to its own rod's curve */
+                uint32_t x, y, z;
+                svo_morton_decode(t.codes[i], &x, &y, &z);
+                const double at = 32 * s.joints[s.map[i]].position[1];
+                CHECK_MSG((y < 14) == (at < 14 + 0.5 * part_gap), "voxel %u %u %u at a joint at %g", x, y, z, at);
+            }
+            skel_skeleton_free(&s);
+            tree_free(&t);
+        }
+    part_gap = 0; /* without normals nothing tells them apart */
+    tree t = make(5, near_rods, false);
+    skel_options o = options(0.07);
+    skel_skeleton s;
+    CHECK_OK(build(&t, &o, &s));
+    CHECK_U64(s.report.components, 1);
+    skel_skeleton_free(&s);
+    tree_free(&t);
+}
+
+/* Legs of a hook whose voxels touch: one curve with an end in the tip of each, as long as both. */
+TEST(hook_that_normals_keep_open)
+{
+    for (part_gap = 0; part_gap <= 1 && !test_failed(); part_gap++) {
+        tree t = make(5, near_legs, false);
+        add_normals(&t, part_gap, true);
+        skel_options o = options(0.07);
+        skel_skeleton s;
+        CHECK_OK(build(&t, &o, &s));
+        CHECK_U64(s.report.components, 1);
+        CHECK_U64(s.report.loops, 0);
+        double length = 0, tip[2] = {INFINITY, INFINITY};
+        for (uint32_t j = 0; j < s.joint_count; j++)
+            for (int leg = 0; leg < 2; leg++) {
+                const double *p = s.joints[j].position;
+                tip[leg] = fmin(tip[leg], hypot(hypot(32 * p[0] - 28, 32 * p[1] - (leg == 0 ? 12 : 16 + part_gap)), 32 * p[2] - 12));
+            }
+        CHECK_MSG(tip[0] < 2 && tip[1] < 2, "%g and %g voxels from the tips", tip[0], tip[1]);
+        for (uint32_t b = 0; b < s.bone_count; b++) {
+            const double *p = s.joints[s.bones[b].a].position, *q = s.joints[s.bones[b].b].position;
+            length += 32 * hypot(hypot(p[0] - q[0], p[1] - q[1]), p[2] - q[2]);
+        }
+        CHECK_MSG(length > 40, "%g voxels long", length);
+        skel_skeleton_free(&s);
+        tree_free(&t);
+    }
+}
