@@ -64,6 +64,12 @@ svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a
 svo_result fmt_cells_glb_mesh(fmt_cells_glb *g, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err);
 /* A place for a mesh. name and id (in the node's extras) may be NULL. */
 void fmt_cells_glb_node(fmt_cells_glb *g, uint64_t mesh, const double to_world[16], const char *name, const uint64_t *id);
+/* Where a mesh is, without shear, as EXT_mesh_gpu_instancing says it: beside the translation of the node that has it. */
+typedef struct fmt_cells_place { float translation[3], rotation[4] /* unit quaternion x y z w */, scale[3]; } fmt_cells_place;
+/* False, and nothing is set, where the matrix is sheared (by more than 1e-5 in the cosine of two axes) or flat. A mirror image has a negative scale. */
+bool fmt_cells_place_of(const double to_world[16], const double origin[3], fmt_cells_place *out);
+/* A mesh at many places beside `origin`, by one node: without names and ids. Floats, so origin should be near the places. */
+void fmt_cells_glb_places(fmt_cells_glb *g, uint64_t mesh, const double origin[3], const fmt_cells_place *places, uint64_t count);
 /* Write the file; once. *report (may be NULL) is filled in. SVO_UNSUPPORTED without any face (a .glb cannot hold
  * an empty mesh); SVO_OUT_OF_MEMORY also where an earlier node could not be added; SVO_IO. */
 svo_result fmt_cells_glb_end(fmt_cells_glb *g, fmt_output *out, fmt_cells_glb_report *report, svo_error *err);

@@ -3,15 +3,8 @@
 
 #include "draco_faces.h"
 #include "fmt_cells.h"
-#include "fmti_glb.h"
+#include "fmti_cells.h"
 #include "svo_channel.h"
-
-struct fmt_cells_glb {
-    fmt_glb g;
-    uint32_t draco;
-    json_t *meshes, *nodes; /* borrowed from the root */
-    fmt_cells_glb_report report;
-};
 
 static void fill_vertices(const fmt_cell_face *f, uint64_t count, uint8_t *position, uint8_t *normal, uint8_t *color, float low[3], float high[3])
 {
@@ -117,10 +110,7 @@ svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a
         json_object_set_new(s->g.root, "nodes", s->nodes = json_array());
         json_object_set_new(s->g.root, "materials", json_pack("[{s:{s:i,s:i}}]", "pbrMetallicRoughness", "metallicFactor", 0, "roughnessFactor", 1));
         json_object_set_new(s->g.root, "scene", json_integer(0));
-        if (draco) {
-            json_object_set_new(s->g.root, "extensionsUsed", json_pack("[s]", "KHR_draco_mesh_compression"));
-            json_object_set_new(s->g.root, "extensionsRequired", json_pack("[s]", "KHR_draco_mesh_compression"));
-        }
+        if (draco) fmt_glb_extension(&s->g, "KHR_draco_mesh_compression", true);
     }
     *out = s;
     return SVO_OK;

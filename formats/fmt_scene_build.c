@@ -71,6 +71,11 @@ void fmti_scene_phase(const fmt_scene_build *b, const char *name)
     if (b->options.phase != NULL) b->options.phase(b->options.user, name);
 }
 
+void fmti_scene_progress(const fmt_scene_build *b, uint64_t done)
+{
+    if (b->options.progress != NULL) b->options.progress(b->options.user, done, b->count);
+}
+
 const char *fmti_last_part(const char *path)
 {
     const char *slash = strrchr(path, '/');
@@ -284,6 +289,7 @@ static svo_result load_description(fmt_scene_build *b, const char *path, const f
         if (e->path == NULL) return fmti_scene_no_memory(err);
         SVO_TRY(about(e->info.file, open_file(b, e, err), err));
         meshes += e->is_mesh;
+        fmti_scene_progress(b, i + 1);
     }
     /* One mesh has the stated depth; of several the largest has, and all must be measured before the first is built. */
     bool measure = meshes > 1 && b->options.voxel_size == 0;
@@ -298,8 +304,10 @@ static svo_result load_description(fmt_scene_build *b, const char *path, const f
     SVO_TRY(fmti_scene_finish_poses(b, err));
     double voxel = fmti_scene_voxel(b);
     if (meshes != 0) fmti_scene_phase(b, "voxelize");
-    for (uint32_t i = 0; i < b->count; i++)
+    for (uint32_t i = 0; i < b->count; i++) {
         if (b->entries[i].is_mesh) SVO_TRY(about(b->entries[i].info.file, build_mesh_file(b, &b->entries[i], voxel, measure, err), err));
+        if (meshes != 0) fmti_scene_progress(b, i + 1);
+    }
     if (measure) fmti_warn_coarse(b);
     b->input.place_count = j->place_count;
     b->input.places = j->places;

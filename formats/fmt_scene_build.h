@@ -25,6 +25,7 @@ typedef struct fmt_scene_build_options {
     double time;
     bool bake_skins; /* skinned meshes as they stand, without bones and poses */
     void (*phase)(void *user, const char *name); /* called when a phase begins: read, voxelize, pack; may be NULL */
+    void (*progress)(void *user, uint64_t done, uint64_t total); /* called in the phases read and voxelize: assets that are done; may be NULL */
     void *user;
 } fmt_scene_build_options;
 fmt_scene_build_options fmt_default_scene_build_options(void); /* depth 10 */

@@ -240,7 +240,9 @@ svo_result fmti_load_mesh_scene(fmt_scene_build *b, const char *path, const fmt_
         SVO_TRY(fmti_needed_depth(b, e, voxel, &e->info.depth, err));
         e->view = built_before(b, i);
         if (e->view == NULL) SVO_TRY(fmti_build_mesh(b, e, &e->alone, i, e->info.depth, err));
+        fmti_scene_progress(b, i + 1);
     }
+    fmti_scene_progress(b, b->count);
     fmti_warn_coarse(b);
     for (uint32_t i = 0; i < b->count; i++) fmti_entry_rig_free(b, &b->entries[i]);
     svo_mesh_free(&b->mesh);

@@ -57,7 +57,12 @@ typedef struct fmt_svo_merge_report {
     uint32_t shards;
     uint64_t bytes_read;
 } fmt_svo_merge_report;
-svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a,
+/* Told from time to time: so much of `total` is done; total 0 = unknown. A NULL watch, or one without tell: nobody. */
+typedef struct fmt_svo_watch {
+    void (*tell)(void *user, uint64_t done, uint64_t total);
+    void *user;
+} fmt_svo_watch;
+svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a, const fmt_svo_watch *watch,
                          fmt_svo_merge_report *report, svo_error *err);
 
 /* Write an octree, or a shard of one, again in the fast or the small form: the bytes are those that its maker would have written in that form
@@ -67,6 +72,7 @@ typedef struct fmt_svo_recode_options {
     int level; /* as of fmt_svo_writer_begin */
     uint32_t threads;
     const svo_allocator *allocator;
+    fmt_svo_watch watch; /* bytes read */
 } fmt_svo_recode_options;
 svo_result fmt_svo_recode(fmt_input *in, fmt_output *out, const fmt_svo_recode_options *options, svo_tree_counts *counts, svo_tree_info *info,
                           svo_error *err);

@@ -24,6 +24,7 @@ typedef struct merge {
     bool has_chunks;
     uint64_t previous; /* code at the chunk level where the last item begins */
     fmt_svo_merge_report *report;
+    const fmt_svo_watch *watch;
 } merge;
 
 /* The message with the file's name before it. */
@@ -244,6 +245,7 @@ static svo_result write_all(merge *m, fmt_output *out, svo_error *err)
     for (uint64_t i = 0; r == SVO_OK && i < m->count; i++) {
         svo_error inner = {0};
         r = copy_shard(m, &m->entries[i], &packed, &inner);
+        if (m->watch != NULL && m->watch->tell != NULL) m->watch->tell(m->watch->user, i + 1, m->count);
         if (r != SVO_OK) in_file(m->paths[m->entries[i].path], &inner, r, err);
     }
     svo_buffer_free(&packed);
@@ -254,10 +256,11 @@ static svo_result write_all(merge *m, fmt_output *out, svo_error *err)
     return fmti_svo_finish(writer, m->report->info.depth, &m->report->counts, m->provenance, err);
 }
 
-svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a, fmt_svo_merge_report *report, svo_error *err)
+svo_result fmt_svo_merge(const char *const *paths, uint64_t count, fmt_output *out, const svo_allocator *a, const fmt_svo_watch *watch, fmt_svo_merge_report *report,
+                         svo_error *err)
 {
     fmt_svo_merge_report unused;
-    merge m = {.paths = paths, .count = count, .allocator = a, .report = report != NULL ? report : &unused};
+    merge m = {.paths = paths, .count = count, .allocator = a, .watch = watch, .report = report != NULL ? report : &unused};
     memset(m.report, 0, sizeof *m.report);
     if (count == 0) return svo_fail(err, SVO_INVALID_ARGUMENT, "no shards to merge");
     m.entries = svo_calloc(a, count, sizeof *m.entries);

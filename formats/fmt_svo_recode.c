@@ -11,6 +11,7 @@ typedef struct recode {
     svo_chunk_source source;
     svo_chunk_sink sink;
     bool begun;
+    fmt_input *in;
 } recode;
 
 typedef struct item {
@@ -33,6 +34,7 @@ static svo_result produce(void *user, void *p, bool *more, svo_error *err)
     item *it = p;
     it->packed.allocator = it->storage.allocator = c->options->allocator;
     SVO_TRY(c->source.fetch(c->source.user, &it->packed, more, err));
+    if (c->options->watch.tell != NULL) c->options->watch.tell(c->options->watch.user, fmt_input_offset(c->in), 0);
     return begin(c, err); /* nothing is committed before the first item has been worked on */
 }
 
@@ -65,7 +67,7 @@ static void destroy(void *user, void *p)
 
 svo_result fmt_svo_recode(fmt_input *in, fmt_output *out, const fmt_svo_recode_options *options, svo_tree_counts *counts, svo_tree_info *info, svo_error *err)
 {
-    recode c = {.options = options};
+    recode c = {.options = options, .in = in};
     SVO_TRY(fmt_svo_reader_open(in, options->allocator, &c.reader, err));
     svo_result r = fmt_svo_writer_begin(out, fmt_svo_reader_info(c.reader), NULL, options->level, options->allocator, &c.writer, err);
     if (r == SVO_OK && options->small) r = fmt_svo_writer_small(c.writer, err);

@@ -95,6 +95,7 @@ struct fmt_scene_build {
 svo_result fmti_scene_no_memory(svo_error *err);
 svo_result fmti_scene_entries(fmt_scene_build *b, uint32_t count, svo_error *err);
 void fmti_scene_phase(const fmt_scene_build *b, const char *name);
+void fmti_scene_progress(const fmt_scene_build *b, uint64_t done); /* of b->count assets */
 const char *fmti_last_part(const char *path);
 char *fmti_clean_name(const fmt_scene_build *b, const char *name);
 /* What an entry has only while it is built. */

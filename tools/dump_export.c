@@ -1,5 +1,6 @@
 /* Voxels in the formats of other programs; what becomes of them is told in formats/fmt_cells.h. */
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 #include <strings.h>
 
@@ -191,7 +192,7 @@ static svo_result export_view(dump_job *j, const svo_view *v, format f, fmt_outp
 enum { MOST_NODES = 1 << 18 }; /* of a .glb: its JSON is held in memory, and viewers read it so */
 
 /* Visit every instance: its map from the cells of its asset, as exported, to the scene. */
-typedef svo_result (*place_fn)(void *user, uint64_t instance, const double to_scene[16], svo_error *err);
+typedef svo_result (*place_fn)(void *user, uint32_t page, uint64_t instance, const double to_scene[16], svo_error *err);
 static svo_result each_instance(const svo_scene *s, const double (*to_mesh)[16], place_fn fn, void *user, svo_error *err)
 {
     for (uint32_t page = 0; page < s->page_count; page++)
@@ -199,7 +200,7 @@ static svo_result each_instance(const svo_scene *s, const double (*to_mesh)[16],
             svo_mat4 grid;
             memcpy(grid.m, to_mesh[s->instance_asset[i]], sizeof grid.m);
             const svo_mat4 m = svo_mat4_mul(svo_scene_instance_transform(s, page, i), grid);
-            SVO_TRY(fn(user, i, m.m, err));
+            SVO_TRY(fn(user, page, i, m.m, err));
         }
     return SVO_OK;
 }
@@ -212,34 +213,67 @@ typedef struct scene_job {
     bool colored;          /* any of them */
     fmt_cells_glb *glb;
     uint64_t *meshes;
-    uint64_t sheared;
+    uint64_t sheared, instanced;
+    svo_buffer many;     /* many_place: instances that are not nodes of their own */
     svo_buffer *faces; /* of each asset, for .ply */
     svo_buffer placed;
 } scene_job;
 
-/* glTF wants matrices without shear. */
-static bool is_sheared(const double m[16])
+static void node(scene_job *k, uint64_t i, const double to_scene[16])
 {
-    for (int a = 0; a < 3; a++) {
-        const int b = (a + 1) % 3;
-        const svo_vec3 p = svo_v3(m[a], m[4 + a], m[8 + a]), q = svo_v3(m[b], m[4 + b], m[8 + b]);
-        if (fabs(svo_dot(svo_normalize(p), svo_normalize(q))) > 1e-5) return true;
-    }
-    return false;
+    fmt_cells_glb_node(k->glb, k->meshes[k->s->instance_asset[i]], to_scene, svo_scene_instance_name(k->s, i), &k->s->instance_id[i]);
 }
 
-static svo_result place_node(void *user, uint64_t i, const double to_scene[16], svo_error *err)
+typedef struct many_place { uint32_t page, asset; uint64_t instance; fmt_cells_place place; } many_place;
+
+static svo_result place_node(void *user, uint32_t page, uint64_t i, const double to_scene[16], svo_error *err)
 {
     scene_job *k = user;
-    (void)err;
-    k->sheared += is_sheared(to_scene);
-    fmt_cells_glb_node(k->glb, k->meshes[k->s->instance_asset[i]], to_scene, svo_scene_instance_name(k->s, i), &k->s->instance_id[i]);
+    many_place p = {.page = page, .asset = k->s->instance_asset[i], .instance = i};
+    const bool straight = fmt_cells_place_of(to_scene, k->s->pages[page].origin, &p.place);
+    k->sheared += !straight; /* glTF wants matrices without shear */
+    if (straight && k->j->export.instancing && k->meshes[p.asset] != UINT64_MAX)
+        return svo_buffer_append(&k->many, &p, sizeof p) != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the instances");
+    node(k, i, to_scene);
     return SVO_OK;
 }
 
-static svo_result place_faces(void *user, uint64_t i, const double to_scene[16], svo_error *err)
+static int by_page_and_asset(const void *a, const void *b)
+{
+    const many_place *p = a, *q = b;
+    if (p->page != q->page) return p->page < q->page ? -1 : 1;
+    if (p->asset != q->asset) return p->asset < q->asset ? -1 : 1;
+    return p->instance < q->instance ? -1 : p->instance > q->instance;
+}
+
+/* A node for each page and asset; one instance alone keeps its name and number. */
+static svo_result place_many(scene_job *k, svo_error *err)
+{
+    many_place *all = (many_place *)(void *)k->many.data;
+    const uint64_t count = k->many.size / sizeof *all;
+    fmt_cells_place *run = svo_calloc(k->j->allocator, count, sizeof *run);
+    if (run == NULL && count != 0) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the instances");
+    if (count != 0) qsort(all, count, sizeof *all, by_page_and_asset);
+    for (uint64_t i = 0, n; i < count; i += n) {
+        for (n = 0; i + n < count && all[i + n].page == all[i].page && all[i + n].asset == all[i].asset; n++) run[n] = all[i + n].place;
+        if (n > 1) {
+            fmt_cells_glb_places(k->glb, k->meshes[all[i].asset], k->s->pages[all[i].page].origin, run, n);
+            k->instanced += n;
+            continue;
+        }
+        svo_mat4 grid;
+        memcpy(grid.m, k->to_mesh[all[i].asset], sizeof grid.m);
+        const svo_mat4 m = svo_scene_instance_transform(k->s, all[i].page, all[i].instance), to_scene = svo_mat4_mul(m, grid);
+        node(k, all[i].instance, to_scene.m);
+    }
+    svo_free(k->j->allocator, run, count, sizeof *run);
+    return SVO_OK;
+}
+
+static svo_result place_faces(void *user, uint32_t page, uint64_t i, const double to_scene[16], svo_error *err)
 {
     scene_job *k = user;
+    (void)page;
     const svo_buffer *faces = &k->faces[k->s->instance_asset[i]];
     fmt_cells_placed p = {.faces = (const fmt_cell_face *)(const void *)faces->data, .count = faces->size / sizeof(fmt_cell_face)};
     memcpy(p.to_world, to_scene, sizeof p.to_world);
@@ -291,6 +325,8 @@ static svo_result write_scene(scene_job *k, format f, fmt_output *o, svo_error *
     }
     fmt_cells_glb_report told;
     SVO_TRY(each_instance(s, (const double (*)[16])k->to_mesh, place_node, k, err));
+    SVO_TRY(place_many(k, err));
+    cli_put_u64(report, "instanced", k->instanced);
     SVO_TRY(fmt_cells_glb_end(k->glb, o, &told, err));
     if (k->sheared != 0) svo_warn(&k->j->c->warnings, "%.100s: %llu instances are sheared, which glTF has no words for; their nodes have the matrix all the same, as most viewers take it", k->j->path, (unsigned long long)k->sheared);
     tell_glb(k->j, report, k->voxels, &told);
@@ -302,10 +338,11 @@ static svo_result export_scene(dump_job *j, const svo_scene *s, format f, fmt_ou
     const dump_export *ask = &j->export;
     if (f != GLB && f != PLY) return svo_fail(err, SVO_UNSUPPORTED, "a scene is exported as .glb or .ply; %s takes one octree: export the assets one by one, or the voxels with --voxels", endings[f]);
     if (ask->has_low || ask->has_high) return svo_fail(err, SVO_INVALID_ARGUMENT, "--low and --high are for one octree, not for scenes");
-    if (f == GLB && s->instance_count > MOST_NODES)
-        return svo_fail(err, SVO_LIMIT, "%llu instances are more nodes than a .glb is good for (%d)", (unsigned long long)s->instance_count, MOST_NODES);
+    if (f == GLB && s->instance_count > MOST_NODES && !ask->instancing)
+        return svo_fail(err, SVO_LIMIT, "%llu instances are more nodes than a .glb is good for (%d); --instancing makes one of many", (unsigned long long)s->instance_count, MOST_NODES);
     scene_job k = {.j = j, .s = s};
     const uint64_t n = s->asset_count;
+    svo_buffer_init(&k.many, j->allocator);
     svo_buffer_init(&k.placed, j->allocator);
     k.to_mesh = svo_calloc(j->allocator, n, sizeof *k.to_mesh);
     k.meshes = svo_calloc(j->allocator, n, sizeof *k.meshes);
@@ -317,6 +354,7 @@ static svo_result export_scene(dump_job *j, const svo_scene *s, format f, fmt_ou
     fmt_cells_glb_free(k.glb);
     for (uint64_t i = 0; i < n && k.faces != NULL; i++) svo_buffer_free(&k.faces[i]);
     svo_buffer_free(&k.placed);
+    svo_buffer_free(&k.many);
     svo_free(j->allocator, k.faces, n, sizeof *k.faces);
     svo_free(j->allocator, k.meshes, n, sizeof *k.meshes);
     svo_free(j->allocator, k.to_mesh, n, sizeof *k.to_mesh);
@@ -327,6 +365,7 @@ svo_result dump_export_file(dump_job *j, svo_error *err)
 {
     format f = format_of(j->export.path);
     if (f == UNKNOWN) return svo_fail(err, SVO_INVALID_ARGUMENT, "%s: --export writes .ply (mesh), .glb, .vox, .nrrd, .raw, .vdb or .nvdb", j->export.path);
+    if (f != GLB && j->export.instancing) return svo_fail(err, SVO_INVALID_ARGUMENT, "--instancing is for .glb files");
     if (f != GLB && j->export.has_draco) return svo_fail(err, SVO_INVALID_ARGUMENT, "--draco is for .glb files");
     if ((f == VDB && !fmt_have_vdb()) || (f == NVDB && !fmt_have_nvdb()))
         return svo_fail(err, SVO_NOT_BUILT, "%s: this build cannot write %s files, because the library (libopenvdb-dev, libnanovdb-dev) was not there when it was made", j->export.path, endings[f]);

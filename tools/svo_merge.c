@@ -73,11 +73,24 @@ typedef struct tool_options {
     uint64_t level;
 } tool_options;
 
+typedef struct told { cli *c; uint64_t bytes; } told; /* of the file that is recoded; 0: unknown */
+
+static void shards_done(void *user, uint64_t done, uint64_t total) { cli_progress_steps(((told *)user)->c, "merging", done, total, (double)done / (double)total); }
+
+static void bytes_read(void *user, uint64_t done, uint64_t total)
+{
+    const told *t = user;
+    (void)total;
+    cli_progress(t->c, "recoding", t->bytes != 0 ? (double)done / (double)t->bytes : -1);
+}
+
 /* One octree to another form. */
 static svo_result recode(cli *c, const tool_options *o, const char *path, fmt_output *out, const svo_allocator *a, fmt_svo_merge_report *m, svo_error *err)
 {
     fmt_input *in = NULL;
-    fmt_svo_recode_options r = {.small = o->disk != 0, .level = (int)o->level, .threads = (uint32_t)c->threads, .allocator = a};
+    struct stat st;
+    told t = {c, stat(path, &st) == 0 && S_ISREG(st.st_mode) ? (uint64_t)st.st_size : 0};
+    fmt_svo_recode_options r = {.small = o->disk != 0, .level = (int)o->level, .threads = (uint32_t)c->threads, .allocator = a, .watch = {bytes_read, &t}};
     SVO_TRY(fmt_input_open(path, &in, err));
     svo_error inner = {0};
     svo_result result = fmt_svo_recode(in, out, &r, &m->counts, &m->info, &inner);
@@ -101,7 +114,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         r = svo_fail(err, SVO_INVALID_ARGUMENT, "--disk takes one octree; merge the shards first");
     if (r == SVO_OK) r = fmt_output_open(c->output, c->force, &out, err);
     if (r == SVO_OK && o->has_disk) r = recode(c, o, n.list[0], out, &limit.base, &m, err);
-    else if (r == SVO_OK) r = fmt_svo_merge(n.list, n.count, out, &limit.base, &m, err);
+    else if (r == SVO_OK) r = fmt_svo_merge(n.list, n.count, out, &limit.base, &(fmt_svo_watch){shards_done, &(told){c, 0}}, &m, err);
     if (r == SVO_OK) {
         report(c, &m, fmt_output_offset(out));
         r = fmt_output_commit(out, err);

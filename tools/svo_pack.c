@@ -27,6 +27,12 @@ static const char *const lods[] = {"all", "none", NULL};
 
 static void next_phase(void *user, const char *name) { cli_phase(user, name); }
 
+static void assets_done(void *user, uint64_t done, uint64_t total)
+{
+    cli *c = user;
+    cli_progress_steps(c, strcmp(c->phase, "read") == 0 ? "reading assets" : "building assets", done, total, (double)done / (double)total);
+}
+
 /* The inputs for META: the scene itself and every file that was read for it. */
 static json_t *inputs_of(const cli *c, const fmt_scene_build *b)
 {
@@ -214,6 +220,7 @@ static svo_result bytes_at(const cli *c, const fmt_scene_build_options *o, uint3
     trial.depth = depth;
     trial.voxelize.warnings = trial.dag.warnings = NULL;
     trial.phase = NULL;
+    trial.progress = NULL;
     svo_buffer_init(&file, o->dag.allocator);
     SVO_TRY(fmt_scene_build_open(c->inputs[0], &trial, &b, err));
     svo_result result = fmt_output_open_memory(&file, &out, err);
@@ -240,6 +247,7 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
     cli_phase(c, "budget");
     for (; depth <= o->depth; depth++) {
         svo_result result = bytes_at(c, o, depth, &bytes, err);
+        cli_progress_steps(c, "trying depths", depth, o->depth, -1);
         if (result != SVO_OK) {
             json_decref(tried);
             return result;
@@ -274,6 +282,7 @@ static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_e
     o->voxelize.allocator = o->dag.allocator = &limit.base;
     o->voxelize.warnings = o->dag.warnings = &c->warnings;
     o->phase = next_phase;
+    o->progress = assets_done;
     o->user = c;
     fmt_output *out;
     SVO_TRY(fmt_output_open(c->output, c->force, &out, err));

@@ -275,6 +275,13 @@ def test_progress_of_tools(folder):
         check(r.code == 0 and re.search(r"^%s: \w+ +\d+%%" % name, r.err, re.M), r)
         plain = tool(name, *args, "-f")
         check(plain.code == 0 and not re.search(r"\d%", plain.err), plain)
+    (folder / "scene.json").write_text(json.dumps({"assets": [{"name": "a", "file": "s.svdag"}, {"name": "b", "file": "s.obj"}, {"name": "c", "file": "s.svo"}],
+                                                   "instances": [{"asset": n} for n in "abc"]}))
+    for source, lines in (("scene.json", ("reading assets 3 of 3 100%", "building assets 3 of 3 100%")), ("s.obj", ("building assets 1 of 1 100%",))):
+        r = run("svo-pack", folder / source, "-o", folder / "s.svscene", "-f", "--depth", 5, "--progress")
+        check(all("svo-pack: " + l in r.err for l in lines), r)
+    r = run("svo-merge", folder / "s.svo", "-o", folder / "m.svo", "--disk", "small", "--progress")
+    check(re.search(r"^svo-merge: \w+ +\d+%", r.err, re.M), r)
 
 
 def test_scenes(folder):

@@ -349,6 +349,62 @@ def test_scene_glb(folder):
     check(report["voxels"] == sum(counts), report)
 
 
+def rotate(q, v):
+    u, w = q[:3], q[3]
+    cross = lambda a, b: [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
+    t = [2 * x for x in cross(u, v)]
+    return [v[k] + w * t[k] + cross(u, t)[k] for k in range(3)]
+
+
+def test_scene_glb_instancing(folder):
+    """EXT_mesh_gpu_instancing: the places of all instances of an asset are those of the nodes without it; mirrors have a negative scale, sheared ones stay nodes."""
+    make_scene(folder)
+    turn = lambda i: [0.5, 0.5, 0.5, 0.5] if i % 3 == 0 else [0, 0.6, 0, -0.8] if i % 3 == 1 else [1, 0, 0, 0]
+    scene = {"assets": [{"name": "cubes", "file": "a.svdag"}, {"name": "ball", "file": "b.svdag"}],
+             "instances": [{"asset": "cubes", "translation": [3 * i, i % 5, 50], "rotation": turn(i), "scale": [1 + i % 2, -1 if i % 4 == 3 else 1, 0.25], "id": i, "name": "n%d" % i} for i in range(40)]
+             + [{"asset": "cubes", "matrix": [1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1], "name": "sheared"}, {"asset": "ball", "name": "one", "id": 77}]}
+    (folder / "s.json").write_text(json.dumps(scene))
+    run("svo-pack", folder / "s.json", "-o", folder / "i.svscene")
+    plain = export(folder, ".glb", source="i.svscene")[0].rename(folder / "plain.glb")
+    apart, _ = read_glb(plain.read_bytes())
+    wanted = {}
+    for n in apart["nodes"]:
+        m = n["matrix"]
+        wanted.setdefault(apart["meshes"][n["mesh"]]["name"], []).append([[sum(m[4 * k + r] * at[k] for k in range(3)) + m[12 + r] for r in range(3)] for at in ((0, 0, 0), (7, 0, 0), (0, 7, 0), (0, 0, 7))])
+    out, report = export(folder, ".glb", "--instancing", source="i.svscene")
+    g, accessor = read_glb(out.read_bytes())
+    check(g["extensionsUsed"] == g["extensionsRequired"] == ["EXT_mesh_gpu_instancing"] and report["instanced"] == 40 and report["nodes"] == len(g["nodes"]) < 42, report)
+    check({n.get("name") for n in g["nodes"]} == {None, "sheared", "one"} and {n["extras"]["id"] for n in g["nodes"] if n.get("name") == "one"} == {77}, g["nodes"])
+    found = {}
+    for n in g["nodes"]:
+        corners = found.setdefault(g["meshes"][n["mesh"]]["name"], [])
+        if "matrix" in n:
+            m = n["matrix"]
+            corners.append([[sum(m[4 * k + r] * at[k] for k in range(3)) + m[12 + r] for r in range(3)] for at in ((0, 0, 0), (7, 0, 0), (0, 7, 0), (0, 0, 7))])
+            continue
+        a = n["extensions"]["EXT_mesh_gpu_instancing"]["attributes"]
+        for t, q, s in zip(accessor(a["TRANSLATION"]), accessor(a["ROTATION"]), accessor(a["SCALE"])):
+            check(abs(sum(x * x for x in q) - 1) < 1e-6, q)
+            corners.append([[x + y + z for x, y, z in zip(rotate(q, [s[k] * at[k] for k in range(3)]), t, n["translation"])] for at in ((0, 0, 0), (7, 0, 0), (0, 7, 0), (0, 0, 7))])
+    for name in wanted:
+        check(len(wanted[name]) == len(found[name]), (name, len(found[name])))
+        left = list(found[name])
+        for corners in wanted[name]:
+            distance = lambda other: max(abs(x - y) for p, q in zip(corners, other) for x, y in zip(p, q))
+            best = min(left, key=distance)
+            check(distance(best) < 2e-5, (name, corners, best))
+            left.remove(best)
+    # our own importer takes it: the same voxels as from the nodes
+    for which in (plain, out):
+        shutil.copy(which, folder / "again.glb")
+        run("svo-voxelize", folder / "again.glb", "-o", folder / (which.stem + ".again.svo"), "--depth", 8, "-f")
+    counts = [run("svo-dump", folder / (w.stem + ".again.svo"), "--json").json["voxels"] for w in (plain, out)]
+    check(abs(counts[0] - counts[1]) <= 0.01 * counts[0], counts)
+    if validator() is not None:
+        check(issues_of(out)["numErrors"] == 0, issues_of(out))
+    check(tool("svo-dump", folder / "i.svscene", "--export", folder / "x.ply", "--instancing").code == 1 and tool("svo-dump", folder / "i.svscene", "--instancing").code == 1)
+
+
 def test_scene_ply(folder):
     voxels, matrix, instances = make_scene(folder)
     out, report = export(folder, ".ply", source="s.svscene")

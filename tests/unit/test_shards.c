@@ -158,7 +158,7 @@ static svo_result merge_bytes(const svo_buffer *files, int count, const svo_allo
     }
     fmt_output *out = NULL;
     svo_result r = fmt_output_open_memory(to, &out, e);
-    if (r == SVO_OK) r = fmt_svo_merge(paths, (uint64_t)count, out, a, NULL, e);
+    if (r == SVO_OK) r = fmt_svo_merge(paths, (uint64_t)count, out, a, NULL, NULL, e);
     if (r == SVO_OK) return fmt_output_commit(out, e);
     fmt_output_discard(out);
     return r;
