@@ -47,6 +47,11 @@ const svo_tree_counts *fmt_svo_reader_counts(const fmt_svo_reader *r);
 void fmt_svo_reader_content_hash(const fmt_svo_reader *r, uint8_t out[16]);
 void fmt_svo_reader_close(fmt_svo_reader *r);
 
+/* Every violation of docs/format/svo.md to `rules`, as far as it does not follow from another: of HEAD the first, every chunk header, record and place; of each subtree
+ * what is wrong with its masks, and each channel of normals; the counts of STAT where nothing else is wrong. Returns as fmt_svdag_violations. */
+struct svo_rules;
+svo_result fmt_svo_violations(const uint8_t *data, uint64_t size, const svo_allocator *a, struct svo_rules *rules, svo_error *err);
+
 /* Join all shards of one job, given in any order, to the file that one run would have written, byte by byte. Shards are
  * read one after the other and their chunks copied as they are stored, after their hashes and descriptions have been
  * checked; memory is a chunk and 64 bytes a shard. Every path is opened twice. SVO_INVALID_DATA, naming files, when a shard is missing,

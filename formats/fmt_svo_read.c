@@ -4,6 +4,7 @@
 
 #include "fmti_svo.h"
 #include "fmti_svo_masks.h"
+#include "svo_rules.h"
 
 struct fmt_svo_reader {
     fmt_stream *stream;
@@ -26,6 +27,8 @@ struct fmt_svo_reader {
     size_t group_at;
     svo_tree_counts stat;
     bool has_stat, ended, has_shard;
+    svo_rules *rules; /* all violations are wanted: what breaks a rule is left out and reading goes on; NULL */
+    bool holes;       /* something was left out, so counts mean nothing */
     fmt_svo_shard shard;
     fmt_chunk stat_chunk;
     /* What decode has seen. STAT is compared by whoever comes last, the end of the stream or the last decode. */
@@ -115,15 +118,23 @@ static svo_result stat_fail(const fmt_svo_reader *r, const char *what, uint64_t 
                           (unsigned long long)stat, what, (unsigned long long)seen);
 }
 
+/* What becomes of a violation by something that is then left out. */
+static svo_result leave_out(fmt_svo_reader *r, svo_result result, const svo_error *err)
+{
+    r->holes |= result != SVO_OK;
+    return svo_go_on(r->rules, result, err);
+}
+
 /* Call with the lock held, when the stream has ended and all its chunks have been decoded. */
 static svo_result compare_levels(const fmt_svo_reader *r, svo_error *err)
 {
+    if (r->holes) return SVO_OK;
     char what[32] = "nodes of level ";
     for (uint32_t l = svo_chunk_level(r->info.depth); l <= r->info.depth; l++) {
         if (r->stat.nodes[l] == r->decoded.nodes[l]) continue;
         what[15] = (char)('0' + l / 10);
         what[16] = (char)('0' + l % 10);
-        return stat_fail(r, what, r->stat.nodes[l], r->decoded.nodes[l], err);
+        SVO_TRY(svo_go_on(r->rules, stat_fail(r, what, r->stat.nodes[l], r->decoded.nodes[l], err), err));
     }
     if (r->stat.full_leaves != r->decoded.full_leaves) return stat_fail(r, "full leaves", r->stat.full_leaves, r->decoded.full_leaves, err);
     return SVO_OK;
@@ -142,10 +153,12 @@ static svo_result read_stat(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *s
     r->stat.full_leaves = fmt_load64(scratch->data + 8);
     r->stat.values = fmt_load64(scratch->data + 16);
     for (uint32_t l = 0; l <= r->info.depth; l++) r->stat.nodes[l] = fmt_load64(scratch->data + 24 + 8 * l);
-    if (r->stat.chunks != r->fetched.chunks) return stat_fail(r, "chunks", r->stat.chunks, r->fetched.chunks, err);
+    if (r->holes) return SVO_OK;
+    if (r->stat.chunks != r->fetched.chunks) SVO_TRY(svo_go_on(r->rules, stat_fail(r, "chunks", r->stat.chunks, r->fetched.chunks, err), err));
     for (uint32_t l = 0; l < svo_chunk_level(r->info.depth); l++)
-        if (r->stat.nodes[l] != r->fetched.nodes[l]) return stat_fail(r, "nodes above the chunks", r->stat.nodes[l], r->fetched.nodes[l], err);
-    if (r->stat.values != r->fetched.values) return stat_fail(r, "values", r->stat.values, r->fetched.values, err);
+        if (r->stat.nodes[l] != r->fetched.nodes[l])
+            SVO_TRY(svo_go_on(r->rules, stat_fail(r, "nodes above the chunks", r->stat.nodes[l], r->fetched.nodes[l], err), err));
+    if (r->stat.values != r->fetched.values) SVO_TRY(svo_go_on(r->rules, stat_fail(r, "values", r->stat.values, r->fetched.values, err), err));
     return SVO_OK;
 }
 
@@ -281,7 +294,7 @@ static svo_result next_subtree(fmt_svo_reader *r, svo_buffer *packed, svo_error 
 
 static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
 {
-    if (!r->has_stat) return svo_fail(err, SVO_INVALID_DATA, "the file has no STAT chunk (SVO-01)");
+    if (!r->has_stat) return leave_out(r, svo_fail(err, SVO_INVALID_DATA, "the file has no STAT chunk (SVO-01)"), err);
     svo_result result = SVO_OK;
     pthread_mutex_lock(&r->lock);
     if (!r->ended && r->decoded_items == r->items) result = compare_levels(r, err);
@@ -290,51 +303,63 @@ static svo_result fetch_end(fmt_svo_reader *r, svo_error *err)
     return result;
 }
 
+/* A chunk whose header has been read; *gave: a subtree is in *packed. */
+static svo_result take_chunk(fmt_svo_reader *r, const fmt_chunk *c, svo_buffer *packed, bool *gave, svo_error *err)
+{
+    uint64_t at = c->offset - 64;
+    SVO_TRY(fmt_chunk_known(c, known_types, KNOWN, err));
+    if (c->type == FMTI_SVO_HEAD) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "a second HEAD (SVO-01)");
+    if (c->type == FMTI_SVO_STAT) return read_stat(r, c, packed, err);
+    if (c->type == FMTI_SVO_SHRD) return read_shard(r, c, packed, err);
+    if (c->type == FMT_TYPE_META) return read_meta(r, c, packed, err);
+    if (c->type == FMTI_SVO_TREE) {
+        if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "TREE after STAT (SVO-01)");
+        SVO_TRY(check_tree(r, c, err));
+        SVO_TRY(fmt_stream_payload(r->stream, c, packed, err));
+        SVO_TRY(give_tree(r, c, packed, err));
+        *gave = true;
+    } else if (c->type == FMTI_SVO_GRUP) {
+        if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "GRUP after STAT (SVO-01)");
+        return check_group(r, c, err);
+    } else if (c->type == FMTI_SVO_FULL) {
+        if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "FULL after STAT (SVO-01)");
+        return check_full(r, c, err);
+    }
+    return SVO_OK;
+}
+
 static svo_result fetch(void *user, svo_buffer *packed, bool *more, svo_error *err)
 {
     fmt_svo_reader *r = user;
-    for (;;) {
-        fmt_chunk c;
-        bool any = false;
+    for (bool gave = false; !gave;) {
         if (r->full_at < r->full.size) {
-            SVO_TRY(next_full(r, packed, err));
-            count_item(r);
-            *more = true;
-            return SVO_OK;
-        }
-        if (r->subtree_next < r->subtrees) {
-            SVO_TRY(next_subtree(r, packed, err));
-            *more = true;
-            return SVO_OK;
-        }
-        SVO_TRY(fmt_stream_next(r->stream, &c, &any, err));
-        if (!any) {
-            *more = false;
-            return fetch_end(r, err);
-        }
-        SVO_TRY(fmt_chunk_known(&c, known_types, KNOWN, err));
-        if (c.type == FMTI_SVO_HEAD) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "a second HEAD (SVO-01)");
-        if (c.type == FMTI_SVO_STAT) {
-            SVO_TRY(read_stat(r, &c, packed, err));
-        } else if (c.type == FMTI_SVO_SHRD) {
-            SVO_TRY(read_shard(r, &c, packed, err));
-        } else if (c.type == FMT_TYPE_META) {
-            SVO_TRY(read_meta(r, &c, packed, err));
-        } else if (c.type == FMTI_SVO_TREE) {
-            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "TREE after STAT (SVO-01)");
-            SVO_TRY(check_tree(r, &c, err));
-            SVO_TRY(fmt_stream_payload(r->stream, &c, packed, err));
-            SVO_TRY(give_tree(r, &c, packed, err));
-            *more = true;
-            return SVO_OK;
-        } else if (c.type == FMTI_SVO_GRUP) {
-            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "GRUP after STAT (SVO-01)");
-            SVO_TRY(check_group(r, &c, err));
-        } else if (c.type == FMTI_SVO_FULL) {
-            if (r->has_stat) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, c.offset - 64, "FULL after STAT (SVO-01)");
-            SVO_TRY(check_full(r, &c, err));
+            const size_t here = r->full_at;
+            svo_result result = next_full(r, packed, err);
+            SVO_TRY(leave_out(r, result, err));
+            gave = result == SVO_OK;
+            if (gave) count_item(r);
+            else r->full_at = here + r->full_chunk.element_stride;
+        } else if (r->subtree_next < r->subtrees) {
+            const uint64_t stored = r->subtree[r->subtree_next].stored_size;
+            svo_result result = next_subtree(r, packed, err);
+            SVO_TRY(leave_out(r, result, err));
+            gave = result == SVO_OK;
+            if (!gave) r->group_at += (size_t)stored;
+        } else {
+            fmt_chunk c;
+            bool any = false;
+            SVO_TRY(fmt_stream_next(r->stream, &c, &any, err));
+            if (!any) {
+                *more = false;
+                return fetch_end(r, err);
+            }
+            svo_result result = take_chunk(r, &c, packed, &gave, err);
+            SVO_TRY(leave_out(r, result, err));
+            if (result != SVO_OK) gave = false, r->subtrees = r->subtree_next = 0, r->full.size = r->full_at = 0;
         }
     }
+    *more = true;
+    return SVO_OK;
 }
 
 static void from_planes(const uint8_t *planes, uint64_t count, uint32_t stride, uint8_t *values)
@@ -382,7 +407,7 @@ static svo_result unpack(const fmt_svo_reader *r, const fmt_chunk *c, svo_buffer
             else from_planes(planes, voxels, stride, places[i]);
         }
         if (channel->kind == SVO_KIND_NORMAL_OCT32 && fmti_bad_normals(n.channels[i], voxels))
-            return fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal holds -32768 (SVO-09)", (unsigned long long)c->id);
+            SVO_TRY(svo_go_on(r->rules, fmt_chunk_fail(err, SVO_INVALID_DATA, c->type, at, "code %llx: a normal of channel \"%s\" holds -32768 (SVO-09)", (unsigned long long)c->id, channel->name), err));
         values += stride * voxels;
     }
     *out = n;
@@ -466,6 +491,9 @@ static svo_result decode_tree(fmt_svo_reader *r, const fmt_chunk *chunk, const s
     if (masks == 0 && r->info.depth != 0) return fmt_chunk_fail(err, SVO_INVALID_DATA, c.type, at, "no masks: a full leaf belongs into FULL (SVO-07)");
     return unpack(r, &c, storage, places, out, err);
 }
+
+void fmti_svo_reader_rules(fmt_svo_reader *r, svo_rules *rules) { r->rules = rules; }
+void fmti_svo_reader_left_out(fmt_svo_reader *r) { r->holes = true; }
 
 static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *storage, svo_chunk *out, svo_error *err)
 {

@@ -93,4 +93,9 @@ svo_result fmti_svo_pack(const svo_tree_info *info, const svo_chunk *chunk, cons
 svo_result fmti_svo_unpack(const svo_tree_info *info, const uint8_t *bytes, uint64_t size, uint64_t count, const svo_allocator *a, uint8_t *const to[SVO_MAX_CHANNELS],
                            svo_error *err);
 
+/* (fmt_svo_rules.c) From now on violations of the file's rules go to `rules`, what breaks them is left out, and reading goes on, in one thread. */
+void fmti_svo_reader_rules(fmt_svo_reader *r, struct svo_rules *rules);
+/* Decode refused a subtree, so the counts of STAT cannot be compared. */
+void fmti_svo_reader_left_out(fmt_svo_reader *r);
+
 #endif

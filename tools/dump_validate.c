@@ -79,34 +79,6 @@ static void on_chunk(void *user, const fmt_chunk *c, bool intact)
     json_array_append_new(f->chunks, o);
 }
 
-/* Every subtree by itself: one that breaks a rule does not hide the next. */
-static void check_subtrees(findings *f)
-{
-    const dump_job *j = f->job;
-    fmt_input *in = NULL;
-    fmt_svo_reader *r = NULL;
-    svo_buffer packed, storage;
-    svo_error e = {0};
-    svo_buffer_init(&packed, j->allocator);
-    svo_buffer_init(&storage, j->allocator);
-    svo_result result = fmt_input_open_memory(j->data, j->size, &in, &e);
-    if (result == SVO_OK) result = fmt_svo_reader_open(in, j->allocator, &r, &e);
-    bool more = result == SVO_OK;
-    while (more && json_array_size(f->messages) < MESSAGES) {
-        svo_chunk_source s = fmt_svo_reader_source(r);
-        svo_chunk chunk;
-        svo_error inner = {0};
-        result = s.fetch(s.user, &packed, &more, &e);
-        if (result != SVO_OK) break;
-        if (more && s.decode(s.user, &packed, &storage, &chunk, &inner) != SVO_OK) add(f, &inner, 0);
-    }
-    if (result != SVO_OK) add(f, &e, 0);
-    fmt_svo_reader_close(r);
-    fmt_input_close(in);
-    svo_buffer_free(&packed);
-    svo_buffer_free(&storage);
-}
-
 static bool on_violation(void *user, const svo_error *e)
 {
     findings *f = user;
@@ -121,6 +93,7 @@ static bool check_rules(findings *f, uint32_t kind, svo_error *err)
     svo_rules rules = {on_violation, f, 0};
     if (kind == FMT_KIND_SVDAG) fmt_svdag_violations(j->data, j->size, j->allocator, &rules, err);
     else if (kind == FMT_KIND_SCENE) fmt_scene_violations(j->data, j->size, j->allocator, &rules, err);
+    else if (kind == FMT_KIND_SVO) fmt_svo_violations(j->data, j->size, j->allocator, &rules, err);
     else if (kind == FMT_KIND_SKEL) fmt_skel_violations(j->data, j->size, j->allocator, &rules, err);
     else return false;
     return true;
@@ -141,7 +114,6 @@ json_t *dump_violations(dump_job *j, svo_result first, const svo_error *err, uin
     survey(&f, false);
     bool sound = json_array_size(f.messages) == 0;
     uint32_t kind = fmt_container_kind(j->data, j->size);
-    if (sound && first == SVO_INVALID_DATA && kind == FMT_KIND_SVO) check_subtrees(&f);
     svo_error inner = {0};
     bool all = first == SVO_INVALID_DATA && check_rules(&f, kind, &inner);
     if ((sound && !all) || json_array_size(f.messages) == 0) add(&f, err, 0);

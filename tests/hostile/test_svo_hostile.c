@@ -3,6 +3,7 @@
 
 #include "fmt_svo.h"
 #include "hostile.h"
+#include "rules_agree.h"
 #include "svo_morton.h"
 #include "test.h"
 #include "trees.h"
@@ -39,9 +40,8 @@ static svo_result use_chunk(const svo_tree_info *info, svo_chunk_source s, const
     return SVO_OK;
 }
 
-static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
+static svo_result read_alone(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
-    (void)user;
     fmt_input *in;
     fmt_svo_reader *r;
     SVO_TRY(fmt_input_open_memory(bytes, size, &in, err));
@@ -69,6 +69,16 @@ static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, cons
     fmt_svo_reader_close(r);
     fmt_input_close(in);
     return result;
+}
+
+/* And the list of all violations says the same. */
+static svo_result read_svo(void *user, const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
+{
+    (void)user;
+    svo_result r = read_alone(bytes, size, a, err);
+    const char *differ = rules_agree(fmt_svo_violations, bytes, size, a, r, err, true);
+    if (differ != NULL) test_fail(__FILE__, __LINE__, "%s", differ);
+    return r;
 }
 
 static void run_form(uint32_t depth, uint32_t style, uint32_t rounds, bool small, int level)

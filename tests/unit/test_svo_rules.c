@@ -4,6 +4,7 @@
 
 #include "fmt_svo.h"
 #include "hostile.h"
+#include "rules_agree.h"
 #include "test.h"
 #include "trees.h"
 
@@ -103,6 +104,35 @@ TEST(svo_01_order_of_chunks)
     begin(), f.chunks[stat_index()].chunk.codec = FMT_CODEC_ZSTD, refuse("SVO-01");
     begin(), f.chunks[stat_index()].chunk.element_count = 3, refuse("SVO-01");
     begin(), hostile_double(&f, f.count - 1), refuse("CON-12");
+}
+
+TEST(all_violations_at_once)
+{
+    begin();
+    CHECK(stat_index() >= 6);
+    tree_payload(0)[16] = 0;
+    hostile_swap(&f, 2, 3);
+    f.chunks[4].chunk.element_count = 0;
+    hostile_double(&f, stat_index());
+    bad.size = 0;
+    hostile_build(&f, &bad);
+    const rules_text *t = rules_all(fmt_svo_violations, bad.data, bad.size);
+    static const char *const rules[] = {"SVO-07", "SVO-05", "SVO-06", "a second STAT (SVO-01)"};
+    CHECK_MSG(t->count == 4, "%llu: %s", (unsigned long long)t->count, t->all);
+    for (size_t i = 0; i < sizeof rules / sizeof rules[0]; i++) CHECK_MSG(strstr(t->all, rules[i]) != NULL, "no %s: %s", rules[i], t->all);
+    /* where nothing else is wrong, each count of STAT */
+    begin();
+    for (uint32_t i = 0; i < 13; i++) {
+        uint8_t *stat = f.chunks[stat_index()].payload.data + 8 * i;
+        fmt_store64(stat, fmt_load64(stat) + 1);
+    }
+    bad.size = 0;
+    hostile_build(&f, &bad);
+    t = rules_all(fmt_svo_violations, bad.data, bad.size);
+    CHECK_MSG(t->count == 13, "%llu: %s", (unsigned long long)t->count, t->all);
+    /* of a sound file nothing */
+    t = rules_all(fmt_svo_violations, good.data, good.size);
+    CHECK_MSG(t->count == 0, "%s", t->all);
 }
 
 TEST(svo_02_head)

@@ -1,6 +1,7 @@
 /* .svo as tools read it, a stream: every chunk decoded and every value looked at. */
 #include "../fuzz.h"
 #include "fmt_svo.h"
+#include "rules_agree.h"
 
 typedef struct walk { uint32_t depth; uint64_t voxels, values; } walk;
 
@@ -48,6 +49,8 @@ static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator 
     svo_buffer_free(&storage);
     if (r != NULL) fmt_svo_reader_close(r);
     fmt_input_close(in);
+    const char *fault = rules_agree(fmt_svo_violations, bytes, size, a, result, err, true);
+    if (fault != NULL) fuzz_fail("the list of all violations: %s", fault);
     return result;
 }
 
