@@ -1,0 +1,177 @@
+/* Error of pictures against the triangles, over seconds and bytes.
+ *
+ *     bench_image [-w WIDTH] MESH A.svdag [B.svdag ...] > image.csv
+ *
+ * The reference is MESH (its triangles alone: no textures) traced by Embree with 8x8 samples a pixel, and lit as svo-render lights without shadows: grey, from the
+ * default light and from everywhere. The files, octrees of the same mesh without colours (any depth and bounds), are drawn by svo_render with both kernels, 1, 2 and 4
+ * samples a side, and delta (`--footprint`) 0, 1, 2 and 4. A line each: root mean square difference of linear light over the pixels that the reference or the picture covers, pixels of silhouette error
+ * (sum of differences in coverage), largest difference, bytes of the file, and thread CPU seconds with one thread, best of three. */
+#define _POSIX_C_SOURCE 200809L
+#include <embree3/rtcore.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "fmt_file.h"
+#include "fmt_import.h"
+#include "fmt_svdag.h"
+#include "svo_rays.h"
+#include "svo_render.h"
+
+enum { REFERENCE = 8, REPEATS = 3 };
+
+static double seconds(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static void *get(size_t size)
+{
+    void *p = malloc(size);
+    if (p == NULL) fputs("out of memory\n", stderr), exit(1);
+    return p;
+}
+
+static void fail(const char *name, const svo_error *err)
+{
+    fprintf(stderr, "%s: %s\n", name, err->message);
+    exit(1);
+}
+
+static RTCScene embree_scene(RTCDevice device, const svo_mesh *m)
+{
+    RTCScene scene = rtcNewScene(device);
+    for (uint32_t i = 0; i < m->instance_count; i++) {
+        const svo_shape *shape = &m->shapes[m->instances[i].shape];
+        for (uint32_t p = 0; p < shape->part_count; p++) {
+            const svo_part *part = &shape->parts[p];
+            if (part->triangle_count == 0) continue;
+            RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
+            float *v = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, part->vertex_count);
+            uint32_t *t = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, part->triangle_count);
+            if (v == NULL || t == NULL) fputs("Embree: out of memory\n", stderr), exit(1);
+            for (uint64_t k = 0; k < part->vertex_count; k++) {
+                const double *x = part->positions + 3 * k;
+                svo_vec3 at = svo_mat4_point(&m->instances[i].transform, svo_v3(x[0], x[1], x[2]));
+                v[3 * k] = (float)at.x, v[3 * k + 1] = (float)at.y, v[3 * k + 2] = (float)at.z;
+            }
+            memcpy(t, part->indices, 12 * part->triangle_count);
+            rtcCommitGeometry(g);
+            rtcAttachGeometry(scene, g);
+            rtcReleaseGeometry(g);
+        }
+    }
+    rtcCommitScene(scene);
+    return scene;
+}
+
+/* Light (of the grey that svo_render takes where there is no colour) and coverage, 2 a pixel. */
+static void draw_reference(RTCScene scene, const svo_render_options *o, float *out)
+{
+    struct RTCIntersectContext context;
+    svo_vec3 light = svo_normalize(o->light);
+    for (uint32_t i = 0; i < o->width * o->height; i++) {
+        double sum = 0, cover = 0;
+        for (uint32_t s = 0; s < REFERENCE * REFERENCE; s++) {
+            svo_scene_ray r = svo_render_ray(o, i % o->width + (s % REFERENCE + 0.5) / REFERENCE, i / o->width + (s / REFERENCE + 0.5) / REFERENCE);
+            struct RTCRayHit h;
+            memset(&h, 0, sizeof h);
+            h.ray.org_x = (float)r.origin.x, h.ray.org_y = (float)r.origin.y, h.ray.org_z = (float)r.origin.z;
+            h.ray.dir_x = (float)r.direction.x, h.ray.dir_y = (float)r.direction.y, h.ray.dir_z = (float)r.direction.z;
+            h.ray.tfar = INFINITY, h.ray.mask = 0xffffffffu;
+            h.hit.geomID = RTC_INVALID_GEOMETRY_ID, h.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
+            rtcInitIntersectContext(&context);
+            rtcIntersect1(scene, &context, &h);
+            if (h.hit.geomID == RTC_INVALID_GEOMETRY_ID) continue;
+            svo_vec3 n = svo_normalize(svo_v3(h.hit.Ng_x, h.hit.Ng_y, h.hit.Ng_z));
+            if (svo_dot(n, r.direction) > 0) n = svo_scale(n, -1);
+            sum += 0.6 * (o->ambient * (0.75 + 0.25 * n.y) + (1 - o->ambient) * fmax(0, svo_dot(n, light)));
+            cover++;
+        }
+        out[2 * i] = (float)(sum / (REFERENCE * REFERENCE)), out[2 * i + 1] = (float)(cover / (REFERENCE * REFERENCE));
+    }
+}
+
+static void compare(const char *name, uint64_t bytes, const svo_view *view, svo_render_options o, const float *reference)
+{
+    static const uint32_t samples[] = {1, 2, 4}, footprints[] = {0, 1, 2, 4};
+    const uint32_t pixels = o.width * o.height;
+    uint8_t *picture = get(4 * (size_t)pixels);
+    float *light = get(16 * (size_t)pixels);
+    svo_render_planes planes = {.light = light};
+    for (int k = 0; k < 2; k++) {
+        svo_scene_one storage;
+        svo_warnings warnings;
+        svo_bvh *bvh;
+        svo_error err = {0};
+        memset(&warnings, 0, sizeof warnings);
+        svo_rays_options rays = svo_default_rays_options();
+        rays.kernel = k == 0 ? SVO_KERNEL_PORTABLE : SVO_KERNEL_AVX512;
+        if (svo_scene_single(view, name, NULL, &storage, &err) != SVO_OK || svo_bvh_build(&storage.scene, 1, NULL, &warnings, &bvh, NULL, &err) != SVO_OK ||
+            (k == 1 && svo_bvh_use_rays(bvh, &rays, NULL, &err) != SVO_OK))
+            fail(name, &err);
+        for (size_t s = 0; s < sizeof samples / sizeof *samples; s++)
+            for (size_t f = 0; f < sizeof footprints / sizeof *footprints; f++) {
+                double best = INFINITY, sum = 0, outline = 0, most = 0;
+                uint64_t count = 0;
+                o.samples = samples[s], o.footprint = footprints[f], o.threads = 1;
+                for (int i = 0; i < REPEATS; i++) {
+                    double start = seconds();
+                    if (svo_render_with_planes(bvh, &storage.scene, &o, picture, &planes, NULL, &err) != SVO_OK) fail(name, &err);
+                    best = fmin(best, seconds() - start);
+                }
+                for (uint32_t i = 0; i < pixels; i++) {
+                    if (light[4 * i + 3] == 0 && reference[2 * i + 1] == 0) continue;
+                    double d = light[4 * i] - reference[2 * i];
+                    sum += d * d, count++;
+                    most = fmax(most, fabs(d));
+                    outline += fabs(light[4 * i + 3] - reference[2 * i + 1]);
+                }
+                printf("%s,%u,%llu,%s,%u,%u,%.4f,%.5f,%.1f,%.4f\n", name, view->depth, (unsigned long long)bytes, k == 0 ? "portable" : "avx512", samples[s], footprints[f], best,
+                       sqrt(sum / (double)(count > 0 ? count : 1)), outline, most);
+                fflush(stdout);
+            }
+        svo_bvh_free(bvh);
+    }
+    free(picture), free(light);
+}
+
+int main(int argc, char **argv)
+{
+    uint32_t width = 640;
+    int at = 1;
+    if (argc > 3 && strcmp(argv[1], "-w") == 0) width = (uint32_t)atoi(argv[2]), at = 3;
+    if (argc < at + 2 || width < 16 || width > 4096) return fputs("usage: bench_image [-w WIDTH] MESH A.svdag [B.svdag ...]\n", stderr), 1;
+    svo_mesh mesh;
+    svo_error err = {0};
+    fmt_import_options import = {.skip_images = true};
+    if (fmt_import_mesh(argv[at], &import, &mesh, &err) != SVO_OK) fail(argv[at], &err);
+    double low[3], high[3];
+    if (!svo_mesh_bounds(&mesh, low, high)) return fprintf(stderr, "%s: no triangles\n", argv[at]), 1;
+    RTCDevice device = rtcNewDevice("threads=1");
+    RTCScene scene = embree_scene(device, &mesh);
+    svo_render_options o = svo_default_render_options();
+    o.width = width, o.height = width * 9 / 16, o.shadows = false, o.transparent = true;
+    o.eye = svo_eye_frame(low, high, (double)o.width / o.height, 0.7);
+    float *reference = get(8 * (size_t)o.width * o.height);
+    draw_reference(scene, &o, reference);
+    puts("file,depth,bytes,kernel,samples,delta,seconds,rms_light,silhouette_pixels,max_light");
+    for (int i = at + 1; i < argc; i++) {
+        fmt_bytes bytes;
+        fmt_svdag dag;
+        if (fmt_bytes_open(argv[i], 0, NULL, &bytes, &err) != SVO_OK || fmt_svdag_open(bytes.data, bytes.size, NULL, &dag, &err) != SVO_OK) fail(argv[i], &err);
+        const char *slash = strrchr(argv[i], '/');
+        compare(slash != NULL ? slash + 1 : argv[i], bytes.size, &dag.view, o, reference);
+        fmt_svdag_close(&dag);
+        fmt_bytes_close(&bytes);
+    }
+    free(reference);
+    rtcReleaseScene(scene);
+    rtcReleaseDevice(device);
+    svo_mesh_free(&mesh);
+    return 0;
+}
