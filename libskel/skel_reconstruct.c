@@ -193,6 +193,31 @@ static svo_result build(skeli_pool *pool, const skeli_surface *surface, const sk
     return SVO_OK;
 }
 
+enum { MEASURED = 20000 };
+
+/* How far the model's vertices are from what was made of them. */
+static svo_result measure(skeli_pool *pool, const skeli_soup *model, const skel_report *r, skel_closed *c, svo_error *err)
+{
+    skeli_soup closed;
+    skeli_surface tree;
+    uint64_t dropped, step = model->vertex_count / MEASURED + 1, n = 0;
+    int32_t *lattice = skeli_take(pool, 3 * c->vertex_count, sizeof *lattice);
+    uint32_t *remap = skeli_take(pool, c->vertex_count, sizeof *remap);
+    if (lattice == NULL || remap == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 3 * c->vertex_count; i++) lattice[i] = (int32_t)rint((c->position[i] - r->centre[i % 3]) / r->unit * SKEL_LATTICE);
+    SVO_TRY(skeli_canonical(pool, lattice, c->vertex_count, c->corner, c->triangle_count, &closed, remap, &dropped, err));
+    SVO_TRY(skeli_surface_tree(pool, &closed, &tree, err));
+    for (uint64_t v = 0; v < model->vertex_count; v += step) {
+        const int32_t *q = model->position + 3 * v;
+        const double p[3] = {q[0], q[1], q[2]}, d = skeli_surface_distance(&tree, p, 4.0 * SKEL_LATTICE, NULL) * (r->unit / SKEL_LATTICE);
+        c->distance_mean += d;
+        c->distance_max = fmax(c->distance_max, d);
+        n++;
+    }
+    c->distance_mean /= (double)n;
+    return SVO_OK;
+}
+
 svo_result skeli_reconstruct(const double *position, uint64_t points, const uint32_t *corner, uint64_t triangles, const skel_skeleton *k, const svo_allocator *a, skel_closed *out,
                              svo_error *err)
 {
@@ -206,6 +231,7 @@ svo_result skeli_reconstruct(const double *position, uint64_t points, const uint
     svo_result result = remap == NULL ? skeli_no_memory(err) : skeli_soup_make(&pool, position, points, corner, triangles, &r, &soup, remap, err);
     if (result == SVO_OK) result = skeli_surface_tree(&pool, &soup, &surface, err);
     if (result == SVO_OK) result = build(&pool, &surface, k, &c, err);
+    if (result == SVO_OK && c.triangle_count > 0) result = measure(&pool, &soup, &k->report, &c, err);
     skeli_pool_free(&pool);
     if (result == SVO_OK) *out = c;
     else skel_closed_free(&c);

@@ -21,6 +21,7 @@ typedef struct skel_closed {
     uint32_t *corner;  /* 3 each, outward by the right hand; every edge has exactly two triangles, in opposite directions */
     uint8_t *invented; /* of each vertex: 1 where the model has no surface, so that a hole was closed there */
     uint64_t invented_count;
+    double distance_mean, distance_max; /* vertices of the model (evenly some of them, where there are many) to the closed surface, the mesh's coordinates */
 } skel_closed;
 svo_result skel_reconstruct(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_closed *out, svo_error *err);
 void skel_closed_free(skel_closed *c);

@@ -139,6 +139,10 @@ static svo_result write_closed(cli *c, fmt_output *out, const svo_mesh *mesh, co
     cli_put_u64(j, "vertices", closed.vertex_count);
     cli_put_u64(j, "triangles", closed.triangle_count);
     cli_put_u64(j, "vertices_invented", closed.invented_count);
+    cli_put_f64(j, "model_distance_mean", closed.distance_mean);
+    cli_put_f64(j, "model_distance_max", closed.distance_max);
+    cli_put_f64(j, "model_distance_mean_percent_of_unit", 100 * closed.distance_mean / s->report.unit);
+    cli_put_f64(j, "model_distance_max_percent_of_unit", 100 * closed.distance_max / s->report.unit);
     json_object_set_new(cli_section(c, "output"), "reconstruction", j);
     skel_closed_free(&closed);
     return r;

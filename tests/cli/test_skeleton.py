@@ -313,6 +313,39 @@ def test_bind(folder):
         check(out["bytes"] == bound.stat().st_size and 0 < out["sample_distance_mean_voxels"] < out["sample_distance_max_voxels"] < 6, out)
 
 
+def test_bound_voxels_are_posed(folder):
+    """From a mesh to voxels that bend: bones bound, bones beyond the middle turned by svo-pack, drawn by svo-render; every voxel is where its bone takes it."""
+    tube_obj(folder / "tube.obj")
+    run("svo-voxelize", folder / "tube.obj", "-o", folder / "v.svo", "--depth", 6, "--attributes", "none")
+    run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "--omega", 0.05, "--obj", folder / "t.obj", "--bind", folder / "v.svo", "--bound", folder / "b.svo")
+    points, bones = curve(folder / "t.obj")
+    bend = min(range(len(points)), key=lambda j: abs(points[j][0] - 2))
+    pivot, c, s = points[bend], math.cos(math.radians(40)), math.sin(math.radians(40))
+    beyond = [i for i, b in enumerate(bones) if min(points[j][0] for j in b) >= pivot[0] - 1e-9]
+    check(0 < len(beyond) < len(bones), bones)
+    turn = {"rotation": [0, 0, math.sin(math.radians(20)), math.cos(math.radians(20))], "pivot": list(pivot)}
+    scene = {"assets": [{"name": "t", "file": "b.svo"}], "instances": [{"asset": "t", "pose": {"bones": [{"bone": i, **turn} for i in beyond]}}]}
+    (folder / "s.json").write_text(json.dumps(scene))
+    run("svo-pack", folder / "s.json", "-o", folder / "s.svscene")
+    run("svo-render", folder / "s.svscene", "-o", folder / "s.png", "--size", "200x160", "--delta", 0.001, "--resample", "emit", "--save-svo", folder / "posed.svo")
+    run("svo-dump", folder / "b.svo", "--voxels", folder / "b.ply")
+    run("svo-dump", folder / "posed.svo", "--voxels", folder / "p.ply")
+    bound, posed = support.read_ply(folder / "b.ply"), support.read_ply(folder / "p.ply")
+    size = json.loads(run("svo-dump", folder / "b.svo", "--json").out)["voxel_to_world"][0]
+    cells, wanted = {}, []
+    for p in zip(posed["x"], posed["y"], posed["z"]):
+        cells.setdefault(tuple(math.floor(x / (2 * size)) for x in p), []).append(p)
+    for x, y, z, bone in zip(bound["x"], bound["y"], bound["z"], bound["bone"]):
+        u, v = x - pivot[0], y - pivot[1]
+        wanted.append((pivot[0] + c * u - s * v, pivot[1] + s * u + c * v, z) if bone in beyond else (x, y, z))
+    moved = [w for w, b in zip(wanted, bound["bone"]) if b in beyond]
+    check(len(moved) > 100 and max(w[1] for w in moved) > 1, len(moved))
+    for w in wanted[::3]:  # half a diagonal of a voxel and of a cell
+        key = [math.floor(x / (2 * size)) for x in w]
+        near = [p for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) for p in cells.get((key[0] + i, key[1] + j, key[2] + k), ())]
+        check(near and min(math.dist(w, p) for p in near) < 1.8 * size, w)
+
+
 def test_glb_of_voxels_is_the_curve(folder):
     tube_obj(folder / "tube.obj")
     run("svo-voxelize", folder / "tube.obj", "-o", folder / "t.svo", "--depth", 6, "--attributes", "none")
@@ -388,6 +421,16 @@ def test_solid_and_reconstruction(folder):
             check(e not in edges, e)
             edges.add(e)
     check(all((b, a) in edges for a, b in edges), "an edge has one side")
+    # the error that is reported, by brute force: vertices of the model to the triangles that were written
+    at = [struct.unpack_from("<3d", body, 25 * i) for i in range(vertices)]
+    faces = [tuple(at[i] for i in struct.unpack_from("<3I", body, 25 * vertices + 13 * t + 1)) for t in range(triangles)]
+    corners = {int(i) - 1 for line in lines if line.startswith("f") for i in line.split()[1:]}
+    given = [tuple(map(float, line.split()[1:])) for i, line in enumerate(x for x in lines if x.startswith("v")) if i in corners]
+    farthest = closed["model_distance_max"]
+    check(0 < closed["model_distance_mean"] < 0.3 * solid["voxel_size"] and farthest < 1.5 * solid["voxel_size"], closed)
+    for p in given[::37]:
+        near = [f for f in faces if all(min(c[k] for c in f) - farthest <= p[k] <= max(c[k] for c in f) + farthest for k in range(3))]
+        check(min(triangle_distance(p, *f) for f in near) <= farthest * (1 + 1e-5) + 1e-6, p)
     run("svo-voxelize", folder / "t.ply", "-o", folder / "v.svo", "--depth", 5)
     run("svo-voxelize", folder / "tube.obj", "-o", folder / "m.svo", "--depth", 5)
     r = tool("svo-skeleton", folder / "m.svo", "-o", folder / "m.skel", "--omega", 0.1, "--reconstruct", folder / "m.ply")
