@@ -95,7 +95,7 @@ def measure(tools, model, omega, degrees):
         curve, report = skeleton(model, folder, "a", "--glb", folder / "a.glb")
         gltf, read = glb_arrays(folder / "a.glb")
         middle = gltf["nodes"][0].get("translation", (0, 0, 0))
-        turns = {}  # joint -> pivot, axis, angle
+        turns, limb_count = {}, len(list(limbs(*curve)))  # joint -> pivot, axis, angle
         for n, (chain, branch) in enumerate(limbs(*curve)):
             along = [abs(curve[0][chain[0]][k] - curve[0][branch][k]) for k in range(3)]
             for j in chain:
@@ -118,7 +118,7 @@ def measure(tools, model, omega, degrees):
         found, after = skeleton(folder / "posed.obj", folder, "b")
         unit, out, again = report["input"]["unit"], report["output"], after["output"]
         one, other = distances(expected, found, 0.01 * unit), distances(found, expected, 0.01 * unit)
-        print("%s,%g,%g,%d,%.2f,%.3f,%d %d,%d %d" % (model.stem, omega, degrees, len({t[0] for t in turns.values()}), 100 * max(one[1], other[1]) / unit, 100 * max(one[0], other[0]) / unit,
+        print("%s,%g,%g,%d,%.2f,%.3f,%d %d,%d %d" % (model.stem, omega, degrees, limb_count, 100 * max(one[1], other[1]) / unit, 100 * max(one[0], other[0]) / unit,
                                                      out["ends"], again["ends"], out["loops"], again["loops"]), flush=True)
 
 
