@@ -146,16 +146,14 @@ static void measure(svoi_lossy_state *s, cluster *c)
 /* Items on the lower side of the cut come first; false when all are on one side. */
 static bool cut(svoi_lossy_state *s, cluster *c, cluster *upper)
 {
-    uint32_t i = c->low, j = c->high;
-    while (i < j) {
-        if (s->item[i].p.x[c->axis] < c->middle[c->axis]) {
-            i++;
-        } else {
-            j--;
-            svoi_item t = s->item[i];
-            s->item[i] = s->item[j];
-            s->item[j] = t;
-        }
+    uint32_t i = c->low;
+    const int axis = c->axis;
+    const float middle = c->middle[axis];
+    for (uint32_t j = c->low; j < c->high; j++) { /* without a branch: which side is nothing that could be foretold */
+        svoi_item t = s->item[j];
+        s->item[j] = s->item[i];
+        s->item[i] = t;
+        i += t.p.x[axis] < middle;
     }
     if (i == c->low || i == c->high) return false;
     *upper = (cluster){.low = i, .high = c->high};
@@ -250,19 +248,12 @@ static void add_entry(svoi_node *n, uint32_t entry)
     if (n->entries < SVOI_LOSSY_ENTRIES) n->entry[n->entries++] = (uint16_t)entry;
 }
 
-/* Masks of up to 64 items, a bit a candidate, to masks of candidates, a bit an item: word w of `out`. */
-static void turn_bits(const uint64_t *mask, uint32_t n, uint32_t w, uint32_t candidates, uint64_t (*out)[SVO_SUPERBLOCK / 64])
+static uint32_t first_of_most(const uint32_t *x, uint32_t k)
 {
-    uint64_t m[64] = {0};
-    memcpy(m, mask, n * sizeof *m);
-    uint64_t low = 0xffffffffu;
-    for (uint32_t half = 32; half != 0; half /= 2, low ^= low << half)
-        for (uint32_t i = 0; i < 64; i = (i + half + 1) & ~half) { /* those without bit `half` */
-            uint64_t t = (m[i] >> half ^ m[i + half]) & low;
-            m[i] ^= t << half;
-            m[i + half] ^= t;
-        }
-    for (uint32_t q = 0; q < candidates; q++) out[q][w] = m[q];
+    uint32_t most = 0, i = 0;
+    for (uint32_t j = 0; j < k; j++) most = x[j] > most ? x[j] : most;
+    while (x[i] != most) i++;
+    return i;
 }
 
 static uint32_t count_left(const uint64_t *covers, const uint64_t *left, uint32_t words)
@@ -291,21 +282,15 @@ static void try_cover(svoi_lossy_state *s, const cluster *c, uint32_t k, svoi_no
             if (!far) add_entry(&all, svoi_near(s->t, &s->near, middle));
         }
     svoi_palette_candidates(s, &all, &candidates);
-    svoi_allowed(s, &candidates, s->allowed);
     uint64_t covers[SVOI_LOSSY_ENTRIES][SVO_SUPERBLOCK / 64], left[SVO_SUPERBLOCK / 64];
     uint32_t words = (s->items + 63) / 64, most[SVOI_LOSSY_ENTRIES]; /* most: no fewer than it covers of what is left */
-    for (uint32_t w = 0; w < words; w++) {
-        uint32_t n2 = s->items - 64 * w < 64 ? s->items - 64 * w : 64;
-        turn_bits(s->allowed + 64 * w, n2, w, all.entries, covers);
-        left[w] = ~(uint64_t)0 >> (64 - n2);
-    }
+    svoi_covered(s, &candidates, covers);
+    for (uint32_t w = 0; w < words; w++) left[w] = ~(uint64_t)0 >> (s->items - 64 * w < 64 ? 64 - (s->items - 64 * w) : 0);
     for (uint32_t q = 0; q < all.entries; q++) most[q] = count_left(covers[q], left, words);
     for (uint32_t rest = s->items; rest != 0;) {
         uint32_t best = 0, count;
         for (;;) { /* the first of those that cover most: counts only fall, so one that is still the most when counted anew is it */
-            best = 0;
-            for (uint32_t q = 1; q < all.entries; q++)
-                if (most[q] > most[best]) best = q;
+            best = first_of_most(most, all.entries);
             count = count_left(covers[best], left, words);
             if (count == most[best]) break;
             most[best] = count;
@@ -359,14 +344,6 @@ static uint32_t urgency(const cluster *c)
     return c->high - c->low > 1 ? (bits + 1) | (uint32_t)!valid(c) << 31 : 0;
 }
 
-static uint32_t most_urgent(const uint32_t *urgent, uint32_t k)
-{
-    uint32_t most = 0, i = 0;
-    for (uint32_t j = 0; j < k; j++) most = urgent[j] > most ? urgent[j] : most;
-    while (urgent[i] != most) i++;
-    return i;
-}
-
 void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
 {
     if (s->t->count == 0 || (float)least_bits(s, 2) >= n->cost) return;
@@ -380,7 +357,7 @@ void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n)
     uint8_t saved[SVO_SUPERBLOCK];
     bool covered = false;
     while (k < SVOI_LOSSY_ENTRIES) {
-        uint32_t pick = most_urgent(urgent, k);
+        uint32_t pick = first_of_most(urgent, k);
         if (urgent[pick] == 0 || (invalid != 0 && valid(&c[pick]))) return; /* an entry alone is not within the bound */
         bool was_valid = valid(&c[pick]);
         if (!cut(s, &c[pick], &c[k])) {

@@ -178,13 +178,46 @@ static float least_of(const float *x, uint32_t count)
 
 static uint32_t padded(uint32_t count) { return (count + SVOI_LANES - 1) & ~(uint32_t)(SVOI_LANES - 1); }
 
-void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask)
+/* Bit i: the candidate is within the bound of item i of 64; components of points and weights by item. */
+static uint64_t covered(float (*item)[64], uint32_t count, const float p[4], float bound2)
 {
-    float square[SVOI_LOSSY_ENTRIES];
-    uint32_t count = padded(c->count);
-    for (uint32_t i = 0; i < s->items; i++) {
-        item_squares(s, &s->item[i], c, count, square);
-        mask[i] = at_most(square, count, 1e30f) & (~(uint64_t)0 >> (64 - c->count)); /* not the copies behind */
+    uint64_t mask = 0;
+#ifdef __AVX2__
+    const __m256 x0 = _mm256_set1_ps(p[0]), x1 = _mm256_set1_ps(p[1]), x2 = _mm256_set1_ps(p[2]), x3 = _mm256_set1_ps(p[3]), most = _mm256_set1_ps(bound2);
+    for (uint32_t i = 0; i < count; i += 8) {
+        __m256 a = _mm256_sub_ps(_mm256_loadu_ps(item[0] + i), x0), b = _mm256_sub_ps(_mm256_loadu_ps(item[1] + i), x1);
+        __m256 d = _mm256_sub_ps(_mm256_loadu_ps(item[2] + i), x2), e = _mm256_sub_ps(_mm256_loadu_ps(item[3] + i), x3);
+        __m256 chroma = _mm256_mul_ps(_mm256_loadu_ps(item[4] + i), _mm256_add_ps(_mm256_mul_ps(b, b), _mm256_mul_ps(d, d)));
+        __m256 d2 = _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(a, a), chroma), _mm256_mul_ps(_mm256_loadu_ps(item[5] + i), _mm256_mul_ps(e, e)));
+        mask |= (uint64_t)(uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(d2, most, _CMP_LE_OQ)) << i;
+    }
+#else
+    for (uint32_t i = 0; i < count; i++) {
+        float a = item[0][i] - p[0], b = item[1][i] - p[1], d = item[2][i] - p[2], e = item[3][i] - p[3];
+        float d2 = a * a + item[4][i] * (b * b + d * d) + item[5][i] * (e * e);
+        mask |= (uint64_t)(d2 <= bound2) << i;
+    }
+#endif
+    return count < 64 ? mask & (((uint64_t)1 << count) - 1) : mask;
+}
+
+void svoi_covered(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t (*covers)[SVO_SUPERBLOCK / 64])
+{
+    float item[6][64] = {{0}};
+    for (uint32_t w = 0; 64 * w < s->items; w++) {
+        uint32_t count = s->items - 64 * w < 64 ? s->items - 64 * w : 64;
+        for (uint32_t i = 0; i < count; i++) {
+            const svoi_item *it = &s->item[64 * w + i];
+            const svoi_point *p = s->t->squares ? &s->check[it->id] : &it->p;
+            const svoi_weights *weights = s->t->squares ? &s->check_weights[it->id] : &it->w;
+            for (int k = 0; k < 4; k++) item[k][i] = p->x[k];
+            item[4][i] = weights->wh, item[5][i] = weights->wd;
+        }
+        for (uint32_t q = 0; q < c->count; q++) {
+            float p[4];
+            for (int k = 0; k < 4; k++) p[k] = s->t->squares ? c->check[k][q] : c->p[k][q];
+            covers[q][w] = covered(item, count, p, s->t->bound2);
+        }
     }
 }
 

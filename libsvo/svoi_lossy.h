@@ -96,8 +96,8 @@ void svoi_try_raw(svoi_lossy_state *s, svoi_node *n);
 float svoi_runs_cost(svoi_lossy_state *s, const svoi_candidates *c, uint32_t width, float limit, uint32_t *number);
 /* The same with a number for each value, each the best for itself; the bits of the numbers are not counted. */
 float svoi_plain_cost(svoi_lossy_state *s, const svoi_candidates *c, float limit, uint32_t *number);
-/* Of each item, in order: bit q is set when candidate q is within the bound. */
-void svoi_allowed(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t *mask);
+/* Of each candidate: bit i of its words is set when it is within the bound of item i. */
+void svoi_covered(const svoi_lossy_state *s, const svoi_candidates *c, uint64_t (*covers)[SVO_SUPERBLOCK / 64]);
 void svoi_palette_candidates(const svoi_lossy_state *s, const svoi_node *n, svoi_candidates *c);
 void svoi_line_candidates(const svoi_lossy_state *s, const svoi_node *n, uint32_t width, svoi_candidates *c);
 uint32_t svoi_lattice_number(svo_channel_kind kind, const svo_lattice *l, uint32_t value);
