@@ -112,12 +112,15 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
 }
 
 /* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
-static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked)
+static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked, uint32_t *alone)
 {
     bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
     b->found = 0;
     b->numbers = hits != NULL && r->before != NULL;
-    bool start = trace_packets(r, lod, b);
+    bool start = *alone == 0 && trace_packets(r, lod, b);
+    /* Shadow rays that begin near a surface part at once, and packets are only in the way; those of neighbouring batches are alike. */
+    if (*alone != 0) --*alone;
+    else if (hits == NULL && start && 8 * b->starts > 7 * b->count) *alone = 7;
     svoi_rays_trace_avx512(r, lod, start, b);
     if (hits != NULL) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
     else memset(blocked, 0, count * sizeof *blocked);
@@ -140,12 +143,13 @@ static void trace_all(const svo_rays *r, const svo_ray *rays, uint64_t count, sv
     svoi_ray_cache cache;
     svoi_ray_batch batch;
     svoi_ray_cache_init(&cache, count);
+    uint32_t alone = 0; /* batches that are traced without packets */
     bool small = r->view->depth < 2; /* its virtual levels are svo_raycast's business */
     for (uint64_t i = 0; i < count; i += SVOI_RAYS_BATCH) {
         uint32_t n = count - i < SVOI_RAYS_BATCH ? (uint32_t)(count - i) : SVOI_RAYS_BATCH;
         svo_hit *h = hits != NULL ? hits + i : NULL;
         bool *b = blocked != NULL ? blocked + i : NULL;
-        if (r->kernel == SVO_KERNEL_AVX512 && !small) trace_batch(r, &cache, &batch, rays + i, n, h, b);
+        if (r->kernel == SVO_KERNEL_AVX512 && !small) trace_batch(r, &cache, &batch, rays + i, n, h, b, &alone);
         else if (h != NULL) svoi_raycast(r->view, &cache, rays + i, n, h);
         else
             for (uint32_t k = 0; k < n; k++) b[k] = svoi_ray_blocked(r->view, &cache, &rays[i + k]);
