@@ -1,4 +1,4 @@
-/* What reading a whole scene and reading a damaged one share. */
+/* What writing a scene, its rules, reading a whole one and reading a damaged one share. */
 #ifndef FMTI_SCENE_H
 #define FMTI_SCENE_H
 
@@ -18,6 +18,17 @@
 #define CAMR FMT_FOURCC('C', 'A', 'M', 'R')
 #define ASET FMT_FOURCC('A', 'S', 'E', 'T')
 #define META FMT_TYPE_META
+
+#define MAJOR 1
+#define HEAD_BYTES 80u
+#define CAMERA_BYTES 136u
+#define HAS_CAMERA 1u
+#define HAS_POSES 2u
+
+/* "IXFM 5: what (SCN-07)": element 5 of the array in chunk IXFM. Returns code. */
+svo_result fmti_scene_bad(svo_error *err, svo_result code, uint32_t chunk, uint64_t index, const char *rule, const char *what);
+/* Does a name begin at this offset of the table? */
+bool fmti_scene_name_start(const svo_scene *s, uint64_t offset);
 
 /* What was found damaged. */
 typedef struct fmti_scene_damage {
