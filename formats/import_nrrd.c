@@ -24,6 +24,7 @@ typedef struct nrrd {
     double directions[9], origin[3];
     char file[LINE];   /* of the data; "": in this one */
     double skip_bytes, skip_lines; /* -1 bytes: the data are the last ones */
+    uint64_t most; /* bytes that a temporary file may have, 0: no limit */
 } nrrd;
 
 /* The next line of the header, without its end; NULL when there is none, or it is too long. The last line of a header without data may have no end. */
@@ -255,6 +256,8 @@ static svo_result decode(const nrrd *n, const uint8_t *p, uint64_t size, uint64_
     /* deflate makes at most 1032 bytes of one, and a number takes two characters */
     if (n->encoding == ENCODING_GZIP ? bytes / 1032 > size : count > size / 2 + 1)
         return svo_fail(err, SVO_INVALID_DATA, "%llu bytes of samples cannot come from %llu", (unsigned long long)bytes, (unsigned long long)size);
+    if (n->most != 0 && bytes > n->most)
+        return svo_fail(err, SVO_LIMIT, "the samples are %llu bytes when they are unpacked to a temporary file, and %llu are allowed (--temp-size)", (unsigned long long)bytes, (unsigned long long)n->most);
     if (n->encoding == ENCODING_GZIP) f.skip = (uint64_t)n->skip_bytes;
     SVO_TRY(fmt_scratch_file(&f.fd, err));
     svo_result r = n->encoding == ENCODING_GZIP ? inflate_all(p, size, &f) : read_text(n, p, size, count, &f);
@@ -315,7 +318,7 @@ void volume_samples_free(volume_samples *s)
 
 svo_result import_nrrd(const char *path, const uint8_t *bytes, uint64_t size, const fmt_volume_options *o, volume_samples *out, svo_error *err)
 {
-    nrrd n = {.s = out, .directions = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
+    nrrd n = {.s = out, .most = o->temporary, .directions = {1, 0, 0, 0, 1, 0, 0, 0, 1}};
     char line[LINE];
     uint64_t at = 0;
     next_line(bytes, size, &at, line); /* NRRD000x */

@@ -462,7 +462,7 @@ int main(int argc, char **argv)
     if (o.raw != NULL || voxelize_is_cells(c.inputs[0])) {
         if (c.input_count != 1 || (o.has_size && o.raw == NULL) || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
             return cli_usage(&c, "a file of voxels is taken alone and as it is, without --voxel-size, --fill, --surface, --shard and --dry-run");
-        cells_options cells = {.depth = (uint32_t)o.depth, .has_depth = o.has_depth, .raw = o.raw, .raw_size = o.has_size ? o.voxel_size : 0, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
+        cells_options cells = {.depth = (uint32_t)o.depth, .temp_size = o.temp_size, .has_depth = o.has_depth, .raw = o.raw, .raw_size = o.has_size ? o.voxel_size : 0, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
                                .attributes = o.attributes, .depfile = o.depfile, .level = (int)o.level};
         svo_result taken = voxelize_cells(&c, &cells, &err);
         return cli_end(&c, taken, &err);

@@ -37,7 +37,7 @@ static svo_result read_file(cli *c, const cells_options *o, const fmt_bytes *b, 
 {
     if (o->raw != NULL || fmt_is_nrrd(b->data, b->size)) {
         const fmt_volume_options how = {.raw = o->raw, .raw_size = o->raw_size, .threshold = o->threshold, .threads = (uint32_t)c->threads, .mapped = b->mapped, .memory = c->memory,
-                                        .allocator = a, .file_read = sources_add, .file_read_user = read};
+                                        .temporary = o->temp_size, .allocator = a, .file_read = sources_add, .file_read_user = read};
         SVO_TRY(fmt_volume_open(c->inputs[0], b->data, b->size, &how, &g->volume, err));
         const fmt_volume_facts *f = fmt_volume_about(g->volume);
         g->voxels = f->voxels;

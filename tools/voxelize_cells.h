@@ -11,6 +11,7 @@ typedef struct cells_options {
     const char *raw; /* what the input is as samples without a header; NULL: by its content */
     double raw_size; /* edge of a cell of it, 0: 1 */
     const char *attributes, *depfile;
+    uint64_t temp_size; /* of temporary files, 0: any */
     int level;
 } cells_options;
 

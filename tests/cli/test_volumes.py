@@ -165,6 +165,12 @@ def test_hostile(folder):
         (folder / "b.nrrd").write_bytes(bad)
         r = tool("svo-voxelize", folder / "b.nrrd", "-o", folder / "x.svo", timeout=60)
         check(r.code == 3 and not (folder / "x.svo").exists(), (bad[:120], r))
+    for encoding, body in (("gzip", gzip.compress(bytes(1 << 20))), ("ascii", b"1 " * (1 << 20))): # what is unpacked counts as temporary files
+        (folder / "b.nrrd").write_bytes(nrrd("uint8", encoding, body, (1024, 1024, 1)))
+        r = tool("svo-voxelize", folder / "b.nrrd", "-o", folder / "t.svo", "--temp-size", "1023K")
+        check(r.code == 6 and "--temp-size" in r.err and not (folder / "t.svo").exists(), r)
+        check(run("svo-voxelize", folder / "b.nrrd", "-o", folder / "t.svo", "--temp-size", "1M", "-f", "--attributes", "none").code == 0)
+        (folder / "t.svo").unlink()
     bomb = gzip.compress(bytes(1 << 24)) # declares less than it holds: what is declared is taken
     (folder / "b.nrrd").write_bytes(nrrd("uint8", "gzip", bomb, (10, 10, 10)))
     check(run("svo-voxelize", folder / "b.nrrd", "-o", folder / "x.svo").code == 0)
