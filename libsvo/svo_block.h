@@ -12,6 +12,7 @@ extern "C" {
 #endif
 
 #define SVO_BLOCK_BRICKS 32768u
+#define SVO_BLOCK_ROW_VISITS 1024u /* a row meets no more bricks: one for every four columns and four voxels of theirs */
 
 typedef struct svo_block {
     uint64_t bricks[SVO_BLOCK_BRICKS];
@@ -36,6 +37,19 @@ void svo_block_clear(svo_block *b); /* in the time of what was marked */
 void svo_block_mark(svo_block *b, const svo_raster_row *row);
 void svo_block_mark_flat(svo_block *b, const svo_raster_row *row);
 void svo_block_mark_shaded(svo_block *b, const svo_raster_row *row);
+
+/* What one triangle meets in one brick. A triangle's visits are remembered brick by brick, so that its voxels can be looked at again without a scan,
+ * and marks are made once a visit instead of once a voxel. Bits of a triangle's visits to the same brick are apart. */
+typedef struct svo_block_visit { uint64_t bits; uint32_t brick; } svo_block_visit;
+typedef struct svo_block_visits {
+    svo_block_visit *at;     /* room for SVO_BLOCK_ROW_VISITS more before each row */
+    uint32_t first, count;   /* visits of the triangle in hand begin at `first` */
+    uint32_t open[64];       /* the last visit by four columns and parity of the brick along w, if it is the triangle's: rows that follow add to it */
+} svo_block_visits;
+/* Remember a row; nothing is marked. */
+void svo_block_remember(const svo_block *b, const svo_raster_row *row, svo_block_visits *v);
+/* Mark what a triangle's visits say; `complex` of voxels that were marked before. */
+void svo_block_meet(svo_block *b, const svo_block_visit *v, uint32_t count);
 
 /* Local Morton code of column (u, v) of a row; or in spread[w][at] for a voxel. */
 static inline uint32_t svo_block_column(const svo_block *b, const svo_raster_row *row, int32_t u)

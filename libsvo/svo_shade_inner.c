@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "svo_morton.h"
 #include "svoi_lanes.h"
 #include "svoi_shade.h"
 
@@ -101,18 +102,39 @@ bool svoi_inner_make(const svo_shader *s, svo_facet *t, svoi_inner *out)
     return true;
 }
 
+/* How far an edge reaches to a voxel's centre. */
+static inline float reach_of(const svoi_clip_edge *e) { return 0.501f * (fabsf(e->a[0]) + fabsf(e->a[1])) - e->offset; }
+
+void svoi_inner_bricks(const svo_facet *t, float reach[3])
+{
+    /* from a brick's centre to its voxels', and more than what rounding can do */
+    for (int k = 0; k < 3; k++) reach[k] = reach_of(&t->clipper.edge[k]) + 1.5f * (fabsf(t->clipper.edge[k].a[0]) + fabsf(t->clipper.edge[k].a[1])) + 0.01f;
+}
+
+bool svoi_inner_brick(const svo_facet *t, const float reach[3], uint32_t brick)
+{
+    const svoi_clip_edge *e = t->clipper.edge;
+    const float x = (float)(4 * (int32_t)svo_morton_compact(brick >> (t->axis + 1) % 3) + 2), y = (float)(4 * (int32_t)svo_morton_compact(brick >> (t->axis + 2) % 3) + 2);
+    return (e[0].a[0] * x + e[0].a[1] * y >= reach[0]) & (e[1].a[0] * x + e[1].a[1] * y >= reach[1]) & (e[2].a[0] * x + e[2].a[1] * y >= reach[2]);
+}
+
 void svoi_inner_find(const svo_facet *t, svoi_lanes *l, uint8_t inner[SVOI_LANES])
 {
     const svoi_clip_edge *e = t->clipper.edge;
     float reach[3];
     svoi_lanes_place(t, l);
-    for (int k = 0; k < 3; k++) reach[k] = 0.501f * (fabsf(e[k].a[0]) + fabsf(e[k].a[1])) - e[k].offset;
+    for (int k = 0; k < 3; k++) reach[k] = reach_of(&e[k]);
     const float ax = e[0].a[0], ay = e[0].a[1], bx = e[1].a[0], by = e[1].a[1], cx = e[2].a[0], cy = e[2].a[1];
     for (uint32_t i = 0, n = (l->count + 7) & ~7u; i < n; i++) {
         const float x = l->clip.x[i] + 0.5f, y = l->clip.y[i] + 0.5f;
         inner[i] = (uint8_t)((ax * x + ay * y >= reach[0]) & (bx * x + by * y >= reach[1]) & (cx * x + cy * y >= reach[2]));
     }
 }
+
+enum { LANES = 8 };
+typedef float lanes __attribute__((vector_size(4 * LANES)));
+typedef int32_t whole __attribute__((vector_size(4 * LANES)));
+typedef float quad __attribute__((vector_size(16)));
 
 /* Rows of the table, and centroids. */
 static void find_centroids(const svo_facet *t, const svoi_inner *in, uint32_t n, svoi_lanes *l)
@@ -127,23 +149,37 @@ static void find_centroids(const svo_facet *t, const svoi_inner *in, uint32_t n,
         }
         return;
     }
-    float rest[SVOI_LANES], side[SVOI_LANES];
-    int32_t step[SVOI_LANES], nearest[SVOI_LANES];
-    for (uint32_t i = 0; i < n; i++) {
-        const float x = l->clip.x[i] + 0.5f, y = l->clip.y[i] + 0.5f, z = gx * x + gy * y + height - (l->clip.z[i] + 0.5f);
-        const float above = (fabsf(z) - from) * per_height, positive = above > 0 ? above : 0, row = positive < SVOI_INNER_STEPS ? positive : SVOI_INNER_STEPS;
-        step[i] = (int32_t)row;
-        nearest[i] = (int32_t)(row + 0.5f);
-        rest[i] = row - (float)step[i];
-        side[i] = z < 0 ? -1.0f : 1.0f;
-        l->offset_x[i] = x - bx;
-        l->offset_y[i] = y - by;
-    }
-    for (uint32_t i = 0; i < n; i++) {
-        const float *row_x = in->x + step[i], *row_y = in->y + step[i];
-        l->offset_x[i] += side[i] * (row_x[0] + (row_x[1] - row_x[0]) * rest[i]);
-        l->offset_y[i] += side[i] * (row_y[0] + (row_y[1] - row_y[0]) * rest[i]);
-        l->step[i] = (uint8_t)nearest[i];
+    /* rows of the table: where they begin, and how far it is to the next */
+    quad rows[SVOI_INNER_STEPS + 1];
+    for (uint32_t k = 0; k <= SVOI_INNER_STEPS; k++) rows[k] = (quad){in->x[k], in->y[k], in->x[k + 1] - in->x[k], in->y[k + 1] - in->y[k]};
+    const lanes zero = {0}, last = zero + (float)SVOI_INNER_STEPS, one = zero + 1;
+    for (uint32_t i = 0; i < n; i += LANES) {
+        lanes x, y, z, column_x[2], column_y[2];
+        memcpy(&x, l->clip.x + i, sizeof x);
+        memcpy(&y, l->clip.y + i, sizeof y);
+        memcpy(&z, l->clip.z + i, sizeof z);
+        x += 0.5f, y += 0.5f;
+        z = gx * x + gy * y + height - (z + 0.5f);
+        const whole below = z < zero;
+        const lanes side = (lanes)((whole)one | (below & INT32_MIN)), above = (z * side - from) * per_height;
+        lanes row = (lanes)((whole)above & (above > zero));
+        const whole far = row >= last;
+        row = (lanes)(((whole)row & ~far) | ((whole)last & far));
+        const whole step = __builtin_convertvector(row, whole), nearest = __builtin_convertvector(row + 0.5f, whole);
+        const lanes rest = row - __builtin_convertvector(step, lanes);
+        /* a row a lane, to a column a number */
+        for (int h = 0; h < 2; h++) {
+            const quad *a = &rows[step[4 * h]], *b = &rows[step[4 * h + 1]], *c = &rows[step[4 * h + 2]], *d = &rows[step[4 * h + 3]];
+            column_x[h] = (lanes){(*a)[0], (*b)[0], (*c)[0], (*d)[0], (*a)[2], (*b)[2], (*c)[2], (*d)[2]};
+            column_y[h] = (lanes){(*a)[1], (*b)[1], (*c)[1], (*d)[1], (*a)[3], (*b)[3], (*c)[3], (*d)[3]};
+        }
+        const lanes x0 = __builtin_shufflevector(column_x[0], column_x[1], 0, 1, 2, 3, 8, 9, 10, 11), dx = __builtin_shufflevector(column_x[0], column_x[1], 4, 5, 6, 7, 12, 13, 14, 15);
+        const lanes y0 = __builtin_shufflevector(column_y[0], column_y[1], 0, 1, 2, 3, 8, 9, 10, 11), dy = __builtin_shufflevector(column_y[0], column_y[1], 4, 5, 6, 7, 12, 13, 14, 15);
+        x = (x - bx) + side * (x0 + dx * rest);
+        y = (y - by) + side * (y0 + dy * rest);
+        memcpy(l->offset_x + i, &x, sizeof x);
+        memcpy(l->offset_y + i, &y, sizeof y);
+        for (int k = 0; k < LANES; k++) l->step[i + (uint32_t)k] = (uint8_t)nearest[k];
     }
 }
 

@@ -508,6 +508,25 @@ void svoi_lanes_write_flat(const svo_shade_layout *layout, const svoi_values *v,
     }
 }
 
+/* The same 1, 3 or 4 bytes again and again, some at a time. */
+static inline void repeat(const uint8_t *value, const uint32_t stride, uint32_t count, uint8_t *out)
+{
+    uint8_t some[4 * 4];
+    for (uint32_t i = 0; i < 4; i++) memcpy(some + stride * i, value, stride);
+    for (; count >= 4; count -= 4, out += 4 * stride) memcpy(out, some, 4 * stride);
+    for (; count != 0; count--, out += stride) memcpy(out, value, stride);
+}
+
+void svoi_write_run(const svo_shade_layout *layout, const svoi_values *v, uint32_t first, uint32_t count, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[3] = {layout->metallic, layout->roughness, layout->coverage};
+    for (int n = 0; n < 3; n++) {
+        if (n < 2 && colors[n] < SVO_MAX_CHANNELS) repeat(v->of[colors[n]], 3, count, channels[colors[n]] + 3 * (uint64_t)first);
+        if (bytes[n] < SVO_MAX_CHANNELS) repeat(v->of[bytes[n]], 1, count, channels[bytes[n]] + first);
+    }
+    if (layout->normal < SVO_MAX_CHANNELS) repeat(v->of[layout->normal], 4, count, channels[layout->normal] + 4 * (uint64_t)first);
+}
+
 void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *l, const uint64_t *sums, const uint32_t *index, uint32_t count,
                      uint8_t *const channels[SVO_MAX_CHANNELS])
 {

@@ -7,7 +7,7 @@
 #include "svo_task.h"
 
 enum {
-    MOST_VISITS = 1 << 20,
+    MOST_VISITS = 1 << 17,
     SLICE_VOXELS = 1 << 17,
     MOST_EXPANDED = 64 << 20, /* bytes of textures that are kept in two forms */
     IN_MEMORY_COST = 32 /* bytes a triangle that the walk in memory takes with its lists, besides snapped triangles */
@@ -17,21 +17,25 @@ static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_O
 
 /* --- a chunk's voxels ----------------------------------------------------------------------------------------- */
 
-/* Room for the codes of a row's voxels; NULL where they are not remembered. */
-static uint32_t *record(svoi_scan *s)
+/* Room for a row's visits: for bricks of a large triangle, for voxels of a small one. False where they are not remembered. */
+static bool make_room(svoi_scan *s)
 {
     enum { MOST_IN_ROW = SVO_RASTER_SIZE * SVO_RASTER_SIZE + 1 };
-    svo_buffer *v = &s->w->visits;
-    if (!s->recording) return NULL;
-    if (v->size / 4 + MOST_IN_ROW > s->r->most_visits || (v->capacity - v->size < 4 * MOST_IN_ROW && !svo_buffer_reserve(v, 4 * MOST_IN_ROW))) {
-        s->recording = false;
-        return NULL;
-    }
-    return (uint32_t *)(void *)(v->data + v->size);
+    svo_buffer *v = s->by_brick ? &s->w->visits : &s->w->codes;
+    const size_t size = s->by_brick ? sizeof(svo_block_visit) : sizeof(uint32_t), count = s->by_brick ? s->visits.count : s->code_count;
+    const size_t more = s->by_brick ? SVO_BLOCK_ROW_VISITS : MOST_IN_ROW, most = s->by_brick ? s->r->most_visits : 4 * (size_t)s->r->most_visits;
+    v->size = count * size;
+    if (count + more > most || !svo_buffer_reserve(v, more * size)) return false;
+    if (s->by_brick) s->visits.at = (svo_block_visit *)(void *)v->data;
+    if (s->by_brick) s->visit_room = (uint32_t)(v->capacity / size) - SVO_BLOCK_ROW_VISITS;
+    else s->code_room = (uint32_t)(v->capacity / size) - MOST_IN_ROW;
+    return true;
 }
-static void recorded(svoi_scan *s, const uint32_t *end)
+static inline bool remembers(svoi_scan *s)
 {
-    if (end != NULL) s->w->visits.size = (size_t)((const uint8_t *)end - s->w->visits.data);
+    if (!s->recording) return false;
+    const bool room = s->by_brick ? s->visits.count < s->visit_room : s->code_count < s->code_room;
+    return room || (s->recording = make_room(s));
 }
 
 /* Mark voxels in which something of the triangle is visible. */
@@ -39,12 +43,11 @@ static void mark_masked(void *user, const svo_raster_row *row)
 {
     svoi_scan *s = user;
     svo_block *b = s->w->block;
-    uint32_t *out = record(s);
+    if (remembers(s)) svo_block_remember(b, row, &s->visits);
     for (int32_t u = row->u0; u <= row->u1; u++) {
         uint32_t column = svo_block_column(b, row, u);
         for (int32_t w = row->lo[u]; w <= row->hi[u]; w++) {
             uint32_t code = column | b->spread[row->w][w];
-            if (out != NULL) *out++ = code;
             uint64_t bit = (uint64_t)1 << (code & 63);
             int32_t cell[3];
             cell[row->u] = u;
@@ -59,7 +62,6 @@ static void mark_masked(void *user, const svo_raster_row *row)
             }
         }
     }
-    recorded(s, out);
 }
 
 static void mark_plain(void *user, const svo_raster_row *row) { svo_block_mark(((svoi_scan *)user)->w->block, row); }
@@ -80,11 +82,11 @@ static void mark_met(void *user, const svo_raster_row *row)
 {
     svoi_scan *s = user;
     svo_block *b = s->w->block;
-    uint32_t *out = record(s);
-    if (out == NULL) {
+    if (!remembers(s)) {
         svo_block_mark_flat(b, row);
         return;
     }
+    uint32_t *out = (uint32_t *)(void *)s->w->codes.data + s->code_count;
     const uint32_t *along = b->spread[row->w];
     for (int32_t u = row->u0; u <= row->u1; u++) {
         const uint32_t column = svo_block_column(b, row, u);
@@ -97,7 +99,28 @@ static void mark_met(void *user, const svo_raster_row *row)
         out += second;
         for (int32_t w = lo + 2; w <= hi; w++) *out++ = meet(b, column | along[w], 1);
     }
-    recorded(s, out);
+    s->code_count = (uint32_t)(out - (uint32_t *)(void *)s->w->codes.data);
+}
+
+/* The same for a large triangle; what is remembered is marked after its last row. */
+static void mark_met_bricks(void *user, const svo_raster_row *row)
+{
+    svoi_scan *s = user;
+    if (remembers(s)) svo_block_remember(s->w->block, row, &s->visits);
+    else svo_block_mark_flat(s->w->block, row);
+}
+
+/* Does it meet so many voxels of a brick that bricks are better remembered than voxels? */
+static bool is_large(const int32_t q[3][3])
+{
+    int32_t low[3], high[3], second = 0, most = 0;
+    svo_raster_bounds(q, low, high);
+    for (int k = 0; k < 3; k++) {
+        const int32_t extent = (high[k] - low[k]) / SVO_RASTER_UNIT;
+        if (extent > most) second = most, most = extent;
+        else if (extent > second) second = extent;
+    }
+    return most >= 16 && second >= 8;
 }
 
 svo_result svoi_enter_part(svoi_scan *s, uint32_t number, svo_error *err)
@@ -118,31 +141,33 @@ static void mark_part(svoi_scan *s, const int32_t box_lo[3], const int32_t box_h
     /* The thin set is found with other scans than the surface in its voxels. */
     svo_buffer *starts = &s->w->starts;
     s->w->visits.size = starts->size = 0;
-    s->recording = s->it->parts == NULL && r->shader != NULL && r->info->channel_count != 0 && !thin && count < r->most_visits && svo_buffer_reserve(starts, 4 * (count + 1));
+    s->w->codes.size = 0;
+    s->visits.count = s->visit_room = s->code_count = s->code_room = 0;
+    s->recording = s->it->parts == NULL && r->shader != NULL && r->info->channel_count != 0 && !thin && count < 4 * (uint64_t)r->most_visits &&
+                   svo_buffer_reserve(starts, sizeof(svoi_start) * (count + 1));
     for (uint64_t i = 0; i < count; i++) {
         svo_record record;
         if (i + 12 < count) svo_bins_fetch(r->bins, list[i + 12]);
         svoi_load_triangle(s, list[i], &record);
-        if (s->recording) {
-            uint32_t at = (uint32_t)(s->w->visits.size / 4);
-            memcpy(starts->data + 4 * i, &at, 4);
-        }
+        s->visits.first = s->visits.count;
+        if (s->recording) ((svoi_start *)(void *)starts->data)[i] = (svoi_start){s->visits.count, s->code_count};
         svo_raster_row_fn fn = mark_plain;
         if (r->shader != NULL) {
             /* In the thin set a voxel's surface may belong to triangles that did not mark it: average them all. */
-            fn = thin ? mark_shaded : mark_met;
+            s->by_brick = s->recording && is_large((const int32_t(*)[3])record.q);
+            fn = thin ? mark_shaded : s->by_brick ? mark_met_bricks : mark_met;
             if (r->masks && svo_facet_is_masked(r->shader, record.group)) {
                 svoi_load_facet(s, list[i], &record);
                 fn = mark_masked;
+                s->by_brick = true;
             }
         }
         for (uint32_t t = 0; t < target_count; t++)
             svo_raster_scan((const int32_t(*)[3])record.q, &targets[t], box_lo, box_hi, fn, s);
+        /* also where there was no room for the triangle's last rows */
+        if (fn == mark_met_bricks && s->visits.count != s->visits.first) svo_block_meet(s->w->block, s->visits.at + s->visits.first, s->visits.count - s->visits.first);
     }
-    if (s->recording) {
-        uint32_t end = (uint32_t)(s->w->visits.size / 4);
-        memcpy(starts->data + 4 * count, &end, 4);
-    }
+    if (s->recording) ((svoi_start *)(void *)starts->data)[count] = (svoi_start){s->visits.count, s->code_count};
 }
 
 static svo_result mark_voxels(svoi_scan *s, const int32_t box_lo[3], const int32_t box_hi[3], svo_error *err)
@@ -244,6 +269,7 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
         svo_buffer_init(&w->values, r->allocator);
         svo_buffer_init(&w->ids, r->allocator);
         svo_buffer_init(&w->visits, r->allocator);
+        svo_buffer_init(&w->codes, r->allocator);
         svo_buffer_init(&w->starts, r->allocator);
         svo_buffer_init(&w->entries, r->allocator);
         svo_buffer_init(&w->sources, r->allocator);
@@ -505,6 +531,7 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_buffer_free(&w->values);
         svo_buffer_free(&w->ids);
         svo_buffer_free(&w->visits);
+        svo_buffer_free(&w->codes);
         svo_buffer_free(&w->starts);
         svo_buffer_free(&w->entries);
         svo_buffer_free(&w->sources);

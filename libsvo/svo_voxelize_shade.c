@@ -58,11 +58,13 @@ static inline void visit_voxels(svoi_scan *s, uint64_t i, const svo_record *reco
         return;
     }
     const svo_block *b = s->w->block;
-    const uint32_t *starts = (const uint32_t *)(const void *)s->w->starts.data, *visits = (const uint32_t *)(const void *)s->w->visits.data;
-    for (uint32_t at = starts[i]; at < starts[i + 1]; at++) {
-        uint32_t code = visits[at];
-        if (b->bricks[code >> 6] >> (code & 63) & 1) fn(s, code);
-    }
+    const svoi_start *start = (const svoi_start *)(const void *)s->w->starts.data + i;
+    const svo_block_visit *visits = (const svo_block_visit *)(const void *)s->w->visits.data;
+    const uint32_t *codes = (const uint32_t *)(const void *)s->w->codes.data;
+    for (uint32_t at = start->code; at < start[1].code; at++)
+        if (b->bricks[codes[at] >> 6] >> (codes[at] & 63) & 1) fn(s, codes[at]);
+    for (uint32_t at = start->visit; at < start[1].visit; at++)
+        for (uint64_t bits = visits[at].bits & b->bricks[visits[at].brick]; bits != 0; bits &= bits - 1) fn(s, visits[at].brick << 6 | (uint32_t)__builtin_ctzll(bits));
 }
 
 void svoi_visit_voxels(svoi_scan *s, uint64_t i, const svo_record *record, const int32_t box_lo[3], const int32_t box_hi[3], svoi_voxel_fn fn)
@@ -118,7 +120,7 @@ static void flush_shared(svoi_scan *s)
 /* The first of those that wait (a batch, or all): to their values. */
 static void flush_waiting(svoi_scan *s, svoi_wait *w, bool inner)
 {
-    svoi_lanes *l = &s->alone;
+    svoi_lanes *l = &s->batch;
     const uint32_t n = w->count < SVOI_LANES ? w->count : SVOI_LANES;
     if (n == 0) return;
     memcpy(l->code, w->code, n * sizeof *l->code);
@@ -127,7 +129,6 @@ static void flush_waiting(svoi_scan *s, svoi_wait *w, bool inner)
     if (inner) svoi_inner_values(s->r->shader, &s->facet, &s->inner, l);
     else svoi_lanes_values(s->r->shader, &s->facet, l);
     svoi_lanes_write(s->layout, l, s->channels);
-    l->count = 0;
     w->count -= n;
     memcpy(w->code, w->code + n, w->count * sizeof *w->code);
     memcpy(w->target, w->target + n, w->count * sizeof *w->target);
@@ -154,6 +155,17 @@ static void sort_alone(svoi_scan *s)
     if (m >= SVOI_LANES) flush_waiting(s, edge, false);
 }
 
+/* Is there a table for voxels that no edge reaches? It is made when first asked for. */
+static inline bool has_inner(svoi_scan *s)
+{
+    if (!s->inner_ready) {
+        s->has_inner = svoi_inner_make(s->r->shader, &s->facet, &s->inner);
+        if (s->has_inner) svoi_inner_bricks(&s->facet, s->inner_reach);
+    }
+    s->inner_ready = true;
+    return s->has_inner;
+}
+
 /* Voxels that it has alone: to their values. */
 static void flush_alone(svoi_scan *s)
 {
@@ -165,9 +177,7 @@ static void flush_alone(svoi_scan *s)
         l->count = 0;
         return;
     }
-    if (!s->inner_ready) s->has_inner = svoi_inner_make(s->r->shader, &s->facet, &s->inner);
-    s->inner_ready = true;
-    if (s->has_inner) {
+    if (has_inner(s)) {
         sort_alone(s);
     } else {
         svoi_lanes_values(s->r->shader, &s->facet, l);
@@ -218,19 +228,76 @@ static void flush_batch(svoi_scan *s, svoi_lanes *l, uint32_t count, void (*flus
     l->count = rest;
 }
 
-/* The same as shade_voxel for all voxels of a facet that were remembered, where all of them exist and the facet is seen in all. Whether a voxel
+/* Codes of a brick's voxels, and their numbers, counted on among the brick's `among`. Returns how many there are then. */
+static inline uint32_t expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target)
+{
+    for (; bits != 0; bits &= bits - 1, n++) {
+        const uint32_t bit = (uint32_t)__builtin_ctzll(bits);
+        code[n] = brick << 6 | bit;
+        target[n] = rank + (uint32_t)__builtin_popcountll(among & (((uint64_t)1 << bit) - 1));
+    }
+    return n;
+}
+
+static inline void share_brick(svoi_scan *s, uint64_t bits, uint32_t brick)
+{
+    svoi_lanes *l = &s->shared;
+    const svo_block *b = s->w->block;
+    const uint64_t begin = s->slice_begin, size = s->slice_end - begin;
+    const uint32_t n = expand(bits, b->complex[brick], brick, b->complex_rank[brick], l->count, l->code, l->target);
+    uint32_t kept = s->one_slice ? n : l->count;
+    for (uint32_t k = kept; k < n; k++) {
+        const uint64_t index = l->target[k] - begin;
+        l->code[kept] = l->code[k];
+        l->target[kept] = (uint32_t)index;
+        kept += index < size;
+    }
+    l->count = kept;
+    if (kept >= SVOI_LANES) flush_batch(s, l, kept, flush_shared);
+}
+
+/* Voxels of a brick that look the same: their values follow one another in a few runs. */
+static inline void take_flat(svoi_scan *s, uint64_t bits, uint64_t among, uint32_t rank)
+{
+    flat_contribution(s);
+    for (uint64_t rest = bits; rest != 0;) {
+        const uint64_t low = rest & (0 - rest), gap = among & ~bits & ~(low - 1); /* from the first voxel on: those of others */
+        const uint64_t run = gap != 0 ? rest & ((gap & (0 - gap)) - 1) : rest;
+        svoi_write_run(s->layout, &s->flat_values, rank + (uint32_t)__builtin_popcountll(among & (low - 1)), (uint32_t)__builtin_popcountll(run), s->channels);
+        rest &= ~run;
+    }
+}
+
+static inline void take_brick(svoi_scan *s, uint64_t bits, uint32_t brick)
+{
+    const svo_block *b = s->w->block;
+    const uint64_t among = b->bricks[brick];
+    const uint32_t rank = b->rank[brick];
+    if (s->facet.flat) {
+        take_flat(s, bits, among, rank);
+    } else if (has_inner(s) && svoi_inner_brick(&s->facet, s->inner_reach, brick)) {
+        svoi_wait *w = &s->wait_inner;
+        w->count = expand(bits, among, brick, rank, w->count, w->code, w->target);
+        if (w->count >= SVOI_LANES) flush_waiting(s, w, true);
+    } else {
+        svoi_lanes *l = &s->alone;
+        l->count = expand(bits, among, brick, rank, l->count, l->code, l->target);
+        if (l->count >= SVOI_LANES) flush_batch(s, l, l->count, flush_alone);
+    }
+}
+
+/* The same as shade_voxel for all voxels of a facet that were remembered one by one, where all of them exist and the facet is seen in all. Whether a voxel
  * has other triangles cannot be foreseen, so there is no branch on it. */
-static void shade_remembered(svoi_scan *s, uint64_t i)
+static void shade_codes(svoi_scan *s, const uint32_t *codes, uint32_t count)
 {
     const svo_block *b = s->w->block;
     svoi_lanes *shared = &s->shared, *alone = &s->alone;
-    const uint32_t *starts = (const uint32_t *)(const void *)s->w->starts.data, *visits = (const uint32_t *)(const void *)s->w->visits.data;
     const uint64_t begin = s->slice_begin, size = s->slice_end - begin;
-    for (uint32_t at = starts[i], end = starts[i + 1]; at < end;) {
-        const uint32_t stop = end - at < SVOI_LANES ? end : at + SVOI_LANES;
+    for (uint32_t at = 0; at < count;) {
+        const uint32_t stop = count - at < SVOI_LANES ? count : at + SVOI_LANES;
         uint32_t n = shared->count, m = alone->count, last = m;
         for (; at < stop; at++) {
-            const uint32_t code = visits[at], met = b->complex[code >> 6] >> (code & 63) & 1;
+            const uint32_t code = codes[at], met = b->complex[code >> 6] >> (code & 63) & 1;
             shared->code[n] = alone->code[m] = code;
             n += met;
             m += 1 - met;
@@ -249,6 +316,24 @@ static void shade_remembered(svoi_scan *s, uint64_t i)
         alone->count = m;
         if (m >= SVOI_LANES) flush_batch(s, alone, m, flush_alone);
     }
+}
+
+/* The same for a facet's bricks. */
+static void shade_bricks(svoi_scan *s, const svo_block_visit *v, uint32_t count)
+{
+    const svo_block *b = s->w->block;
+    for (const svo_block_visit *end = v + count; v < end; v++) {
+        const uint64_t shared = v->bits & b->complex[v->brick], alone = v->bits & ~shared;
+        if (shared != 0) share_brick(s, shared, v->brick);
+        if (alone != 0 && s->first_slice) take_brick(s, alone, v->brick);
+    }
+}
+
+static void shade_remembered(svoi_scan *s, uint64_t i)
+{
+    const svoi_start *start = (const svoi_start *)(const void *)s->w->starts.data + i;
+    if (start[1].code != start->code) shade_codes(s, (const uint32_t *)(const void *)s->w->codes.data + start->code, start[1].code - start->code);
+    if (start[1].visit != start->visit) shade_bricks(s, (const svo_block_visit *)(const void *)s->w->visits.data + start->visit, start[1].visit - start->visit);
 }
 
 static inline void weigh_voxel(svoi_scan *s, uint32_t code)
@@ -271,7 +356,7 @@ static void weigh_part(svoi_scan *s, uint32_t label, const int32_t box_lo[3], co
         svoi_load_triangle(s, list[i], &record);
         if (label_of(s->r, record.group) != label) continue;
         svoi_load_facet(s, list[i], &record);
-            visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
+        visit_voxels(s, i, &record, box_lo, box_hi, weigh_voxel);
         flush_weights(s);
     }
 }
@@ -379,6 +464,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {
         s->slice_begin = begin;
         s->slice_end = complex - begin < r->slice_voxels ? complex : begin + r->slice_voxels;
+        s->one_slice = s->slice_end - begin == complex;
         w->sums.size = 0;
         if (!svo_buffer_append(&w->sums, NULL, (s->slice_end - begin) * s->layout->fields * 8 + 8)) return out_of_memory(err);
         s->sums = (uint64_t *)(void *)w->sums.data;

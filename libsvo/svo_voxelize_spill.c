@@ -27,7 +27,7 @@ uint64_t svoi_worker_bytes(const svoi_run *r)
     if (r->shader == NULL) return bytes;
     uint64_t stride = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) stride += svo_channel_stride(r->info->channels[c].kind);
-    return bytes + 3 * 4 * (uint64_t)r->most_visits + r->slice_voxels * (8u * svo_shader_layout(r->shader)->fields + 16) + 400000 * stride;
+    return bytes + 3 * (sizeof(svo_block_visit) + 4 * sizeof(uint32_t)) * (uint64_t)r->most_visits + r->slice_voxels * (8u * svo_shader_layout(r->shader)->fields + 16) + 400000 * stride;
 }
 
 /* --- bins one by one ------------------------------------------------------------------------------------------ */

@@ -56,6 +56,9 @@ void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, co
 bool svoi_inner_make(const svo_shader *s, svo_facet *t, svoi_inner *out);
 /* Which voxels does no edge reach? 1 or 0 each. */
 void svoi_inner_find(const svo_facet *t, svoi_lanes *l, uint8_t inner[SVOI_LANES]);
+/* The same for all voxels of a brick at once: true only where svoi_inner_find says so of each of the 64. `reach` is the facet's. */
+void svoi_inner_bricks(const svo_facet *t, float reach[3]);
+bool svoi_inner_brick(const svo_facet *t, const float reach[3], uint32_t brick);
 /* What svoi_lanes_values says, for inner voxels. */
 void svoi_inner_values(const svo_shader *s, svo_facet *t, const svoi_inner *inner, svoi_lanes *l);
 void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svoi_inner *inner, svoi_inner_texture *out);
@@ -76,6 +79,8 @@ void svoi_lanes_write(const svo_shade_layout *layout, svoi_lanes *l, uint8_t *co
 typedef struct svoi_values { uint8_t of[SVO_MAX_CHANNELS][SVO_MAX_STRIDE]; } svoi_values;
 void svoi_flat_values(const svo_shade_layout *layout, const svo_contribution *c, svoi_values *out); /* of a voxel that has this contribution alone */
 void svoi_lanes_write_flat(const svo_shade_layout *layout, const svoi_values *v, const svoi_lanes *l, uint8_t *const channels[SVO_MAX_CHANNELS]);
+/* To the values with the numbers first .. first + count - 1. */
+void svoi_write_run(const svo_shade_layout *layout, const svoi_values *v, uint32_t first, uint32_t count, uint8_t *const channels[SVO_MAX_CHANNELS]);
 /* The same for averages: sums of `count` voxels in order, to the values with the numbers in index. */
 void svoi_sums_write(const svo_shade_layout *layout, svoi_lanes *scratch, const uint64_t *sums, const uint32_t *index, uint32_t count,
                      uint8_t *const channels[SVO_MAX_CHANNELS]);

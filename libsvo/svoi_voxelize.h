@@ -19,13 +19,16 @@ enum { SVOI_MAX_WORKERS = 256 };
 typedef struct svoi_worker {
     svo_block *block;
     svo_buffer masks, sums, values, ids;
-    svo_buffer visits, starts; /* local Morton codes of the voxels that each triangle meets (uint32_t), and where each triangle's begin */
+    svo_buffer visits, codes, starts; /* what each triangle meets: svo_block_visit of large ones, local Morton codes of voxels (uint32_t) of others; svoi_start */
     /* of solids */
     svo_solid *solid;
     svo_buffer entries, sources, filled; /* uint32_t a value: what it is, and the surface voxel it takes after; values with the inside */
     svo_facet nearest;                   /* the last facet that a value was read from */
     uint32_t nearest_triangle;           /* SVO_NONE: none yet */
 } svoi_worker;
+
+/* Where what a triangle meets begins; its end is the next one's. */
+typedef struct svoi_start { uint32_t visit, code; } svoi_start;
 
 /* One chunk that is made of up to 64 units, which come in ascending Morton order. */
 enum { SVOI_JOIN_LEVELS = 2, SVOI_JOIN_UNITS = 64 };
@@ -60,7 +63,7 @@ typedef struct svoi_run {
     bool masks;         /* some material cuts voxels away, so shading is asked first */
     svo_winding *winding; /* of solids, else NULL */
     svo_solid_counts asked; /* by the thread that makes items */
-    uint32_t most_visits;  /* (triangle, voxel) pairs of a chunk that are remembered; with more they are found again */
+    uint32_t most_visits;  /* (triangle, brick) pairs of a chunk that are remembered, and a fourth of the (triangle, voxel) pairs; with more they are found again */
     uint64_t slice_voxels; /* voxels averaged at a time: bounds the memory for sums */
     svoi_worker workers[SVOI_MAX_WORKERS];
     bool started, has_previous;
@@ -112,16 +115,21 @@ typedef struct svoi_scan {
     svo_facet facet;
     svo_polygon whole; /* the facet */
     bool recording; /* visits of all triangles so far are in the worker's buffers */
+    bool by_brick;  /* the triangle in hand is a large one */
+    svo_block_visits visits;             /* in the worker's buffer; there is room for a row's while fewer than visit_room are in it */
+    uint32_t visit_room, code_count, code_room;
     int32_t corner_axis[3];
     const svo_shade_layout *layout;
     uint32_t shift;
     uint64_t slice_begin, slice_end; /* complex voxels averaged now */
-    bool first_slice;
+    bool first_slice, one_slice;
     bool flat_ready;
     svo_contribution flat; /* of a flat facet, made when first used, and what a voxel has that it has alone */
     svoi_values flat_values;
     svoi_lanes shared, alone; /* voxels of the facet that wait for their values: met by others too, or not */
+    svoi_lanes batch;         /* in hand */
     bool inner_ready, has_inner;
+    float inner_reach[3];     /* of the facet's edges into bricks of inner voxels alone */
     svoi_inner inner;         /* of the facet; then voxels that it has alone wait once more: those that no edge reaches, and the others */
     svoi_wait wait_inner, wait_edge;
     uint8_t *channels[SVO_MAX_CHANNELS];
