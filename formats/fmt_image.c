@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "image_internal.h"
+#include "svo_texture.h"
 
 static const uint64_t DEFAULT_MAX_PIXELS = (uint64_t)1 << 28;
 
@@ -20,7 +21,8 @@ svo_result image_allocate(const char *kind, uint64_t width, uint64_t height, uin
         if (r != SVO_OK) return r == SVO_LIMIT ? SVO_OUT_OF_MEMORY : r; /* not a limit of images */
         out->pixels = out->paged->data;
     } else {
-        out->pixels = svo_calloc(memory->a, width * height, 4);
+        out->pixels = svo_alloc_texels(memory->a, width * height, 4);
+        if (out->pixels != NULL) memset(out->pixels, 0, (size_t)(width * height) * 4);
     }
     if (out->pixels == NULL)
         return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a %s image of %llu x %llu pixels", kind,

@@ -95,11 +95,15 @@ static __attribute__((noinline)) void touch(const svo_pyramid *p, uint32_t level
     }
 }
 
-/* The mean of a plan's readings around a point of the image. False where one of them may reach beyond the level's edge. */
-static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, const plan *n, const double at[2], float out[4])
+/* A plan around a point of the image: its first reading, in texels of the level from `origin` on. */
+typedef struct placed { plan n; bool inside; uint64_t origin; float x, y; } placed;
+
+/* False where a reading may reach beyond the level's edge. */
+static inline bool place(const svo_pyramid *p, const svo_texture *how, const double at[2], double width, double height, placed *out)
 {
+    const plan *n = &out->n;
     const uint32_t w = p->width[n->level], h = p->height[n->level];
-    double cx = at[0] / p->width[0], cy = at[1] / p->height[0];
+    double cx = at[0] * width, cy = at[1] * height;
     if (how->wrap_u == SVO_WRAP_REPEAT) cx -= floor(cx);
     if (how->wrap_v == SVO_WRAP_REPEAT) cy -= floor(cy);
     cx = cx * w - 0.5, cy = cy * h - 0.5;
@@ -107,15 +111,30 @@ static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, con
     const double ex = (double)(fabsf(n->step[0]) * along + fabsf(n->side[0]) * across) + 0.01, ey = (double)(fabsf(n->step[1]) * along + fabsf(n->side[1]) * across) + 0.01;
     if (!(cx - ex > 0 && cy - ey > 0 && cx + ex < w - 1.0 && cy + ey < h - 1.0)) return false;
     const uint32_t left = (uint32_t)(cx - ex), top = (uint32_t)(cy - ey);
-    const float ox = (float)(cx - left) - along * n->step[0] - across * n->side[0], oy = (float)(cy - top) - along * n->step[1] - across * n->side[1];
-    const uint64_t origin = (uint64_t)top * w + left;
+    out->x = (float)(cx - left) - along * n->step[0] - across * n->side[0];
+    out->y = (float)(cy - top) - along * n->step[1] - across * n->side[1];
+    out->origin = (uint64_t)top * w + left;
+    if (p->outside) return true;
+    /* its texels are far away in memory: ask for them while other footprints are placed */
+    const uint64_t size = p->texels[n->level] != NULL ? 8 : 4, row = w * size;
+    const uint8_t *texel = (p->texels[n->level] != NULL ? (const uint8_t *)p->texels[n->level] : p->image->pixels) + size * out->origin;
+    const uint32_t rows = (uint32_t)(2 * ey) + 1; /* and one more */
+    for (uint32_t i = 0; i <= (rows < 4 ? rows : 4); i++) __builtin_prefetch(texel + i * row);
+    return true;
+}
+
+/* The mean of its readings. */
+static inline void mean_inside(const svo_pyramid *p, const placed *r, float out[4])
+{
+    const plan *n = &r->n;
+    const uint32_t w = p->width[n->level];
     pair sum = {0};
     for (uint32_t i = 0; i < n->along; i++)
         for (uint32_t j = 0; j < n->across; j++) {
-            const float x = ox + (float)i * n->step[0] + (float)j * n->side[0], y = oy + (float)i * n->step[1] + (float)j * n->side[1];
+            const float x = r->x + (float)i * n->step[0] + (float)j * n->side[0], y = r->y + (float)i * n->step[1] + (float)j * n->side[1];
             const int32_t ix = (int32_t)x, iy = (int32_t)y; /* neither is negative */
             const float fx = x - (float)ix, fy = y - (float)iy, rx = 1 - fx;
-            const uint64_t texel = origin + (uint64_t)(uint32_t)iy * w + (uint32_t)ix;
+            const uint64_t texel = r->origin + (uint64_t)(uint32_t)iy * w + (uint32_t)ix;
             pair upper, lower;
             if (p->outside) touch(p, n->level, texel);
             load_pair(p, n->level, texel, &upper);
@@ -125,30 +144,40 @@ static inline bool mean_inside(const svo_pyramid *p, const svo_texture *how, con
         }
     const float scale = unit(p, n->level) / (float)(n->along * n->across);
     for (int k = 0; k < 4; k++) out[k] = (sum[k] + sum[k + 4]) * scale;
-    return true;
+}
+
+/* The mean of readings anywhere. */
+static void mean_anywhere(const svo_pyramid *p, const svo_texture *how, const plan *n, const double at[2], double width, double height, float out[4])
+{
+    float sum[4] = {0, 0, 0, 0}, texel[4];
+    const double sx = (double)p->width[0] / p->width[n->level], sy = (double)p->height[0] / p->height[n->level];
+    for (uint32_t j = 0; j < n->along; j++)
+        for (uint32_t k = 0; k < n->across; k++) {
+            const float r = (float)j - 0.5f * (float)(n->along - 1), q = (float)k - 0.5f * (float)(n->across - 1);
+            const double x = at[0] + (double)(r * n->step[0] + q * n->side[0]) * sx, y = at[1] + (double)(r * n->step[1] + q * n->side[1]) * sy;
+            svo_pyramid_sample(p, how, x * width, y * height, n->level, texel);
+            for (int c = 0; c < 4; c++) sum[c] += texel[c];
+        }
+    for (int c = 0; c < 4; c++) out[c] = sum[c] / (float)(n->along * n->across);
 }
 
 void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES])
 {
+    const double width = 1.0 / p->width[0], height = 1.0 / p->height[0];
     footprints prints;
+    placed lane[SVOI_LANES];
     measure(f, l->clip.xx, l->clip.xy, l->clip.yy, l->count, &prints);
     for (uint32_t i = 0; i < l->count; i++) {
-        const double at[2] = {l->at[0][i], l->at[1][i]}, width = 1.0 / p->width[0], height = 1.0 / p->height[0];
+        const double at[2] = {l->at[0][i], l->at[1][i]};
+        lane[i].n = (plan){.along = 1, .across = 1};
+        if (prints.large[i] > 0.03f) make_plan(p, &prints, i, &lane[i].n); /* wider than 0.6 texels */
+        lane[i].inside = place(p, how, at, width, height, &lane[i]);
+    }
+    for (uint32_t i = 0; i < l->count; i++) {
+        const double at[2] = {l->at[0][i], l->at[1][i]};
         float texel[4];
-        plan n = {.along = 1, .across = 1};
-        if (prints.large[i] > 0.03f) make_plan(p, &prints, i, &n); /* wider than 0.6 texels */
-        if (!mean_inside(p, how, &n, at, texel)) {
-            float sum[4] = {0, 0, 0, 0};
-            const double sx = (double)p->width[0] / p->width[n.level], sy = (double)p->height[0] / p->height[n.level];
-            for (uint32_t j = 0; j < n.along; j++)
-                for (uint32_t k = 0; k < n.across; k++) {
-                    const float r = (float)j - 0.5f * (float)(n.along - 1), q = (float)k - 0.5f * (float)(n.across - 1);
-                    const double x = at[0] + (double)(r * n.step[0] + q * n.side[0]) * sx, y = at[1] + (double)(r * n.step[1] + q * n.side[1]) * sy;
-                    svo_pyramid_sample(p, how, x * width, y * height, n.level, texel);
-                    for (int c = 0; c < 4; c++) sum[c] += texel[c];
-                }
-            for (int c = 0; c < 4; c++) texel[c] = sum[c] / (float)(n.along * n.across);
-        }
+        if (lane[i].inside) mean_inside(p, &lane[i], texel);
+        else mean_anywhere(p, how, &lane[i].n, at, width, height, texel);
         for (int c = 0; c < 4; c++) out[c][i] = texel[c];
     }
 }

@@ -3,7 +3,22 @@
 #include <math.h>
 #include <string.h>
 
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
+
 #include "svo_channel.h"
+
+void *svo_alloc_texels(const svo_allocator *a, uint64_t count, size_t size)
+{
+    void *p = svo_alloc(a, count, size);
+#if defined(__linux__) && defined(MADV_HUGEPAGE)
+    /* of the pages that lie in it altogether; refused where there is no such thing, which is well */
+    const uint64_t page = 4096, least = 1 << 20, begin = ((uint64_t)(uintptr_t)p + page - 1) / page * page;
+    if (p != NULL && count >= least / size) madvise((void *)(uintptr_t)begin, (size_t)(((uint64_t)(uintptr_t)p + count * size - begin) / page * page), MADV_HUGEPAGE);
+#endif
+    return p;
+}
 
 /* Is some level outside of memory? */
 static inline bool is_paged(const svo_pyramid *p) { return p->outside; }
@@ -157,7 +172,7 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
             continue;
         }
         uint64_t count = (uint64_t)p.width[l] * p.height[l];
-        p.texels[l] = svo_alloc(a, count, 8);
+        p.texels[l] = svo_alloc_texels(a, count, 8);
         if (kind == SVO_TEXEL_COLOR_ALPHA) p.most[l] = svo_alloc(a, count, 1);
         if (p.texels[l] == NULL || (kind == SVO_TEXEL_COLOR_ALPHA && p.most[l] == NULL)) {
             svo_pyramid_free(&p);
@@ -173,7 +188,7 @@ void svo_pyramid_expand(svo_pyramid *p)
 {
     const uint64_t count = (uint64_t)p->width[0] * p->height[0];
     if (p->kind != SVO_TEXEL_COLOR || p->outside || p->texels[0] != NULL) return;
-    p->texels[0] = svo_alloc(p->allocator, count, 8);
+    p->texels[0] = svo_alloc_texels(p->allocator, count, 8);
     if (p->texels[0] == NULL) return;
     uint16_t stored[256];
     for (int i = 0; i < 256; i++) stored[i] = (uint16_t)p->stored[i];

@@ -50,6 +50,9 @@ void svo_pyramid_sample(const svo_pyramid *p, const svo_texture *how, double u, 
  * is at most 4 x 4 texels. COLOR_ALPHA only. */
 float svo_pyramid_most_alpha(const svo_pyramid *p, const svo_texture *how, double u0, double u1, double v0, double v1);
 
+/* Memory for many texels, as svo_alloc gives it, in large pages where the system has them: they are read here and there. */
+void *svo_alloc_texels(const svo_allocator *a, uint64_t count, size_t size);
+
 #ifdef __cplusplus
 }
 #endif

@@ -9,7 +9,7 @@
 enum {
     MOST_VISITS = 1 << 17,
     SLICE_VOXELS = 1 << 17,
-    MOST_EXPANDED = 64 << 20, /* bytes of textures that are kept in two forms */
+    MOST_EXPANDED = 128 << 20, /* bytes of textures that are kept in two forms */
     IN_MEMORY_COST = 32 /* bytes a triangle that the walk in memory takes with its lists, besides snapped triangles */
 };
 
