@@ -171,24 +171,85 @@ static svo_result shape(skeli_pool *pool, const skeli_surface *surface, const si
     return SVO_OK;
 }
 
+/* Where parts of the solid touch along an edge, two pairs of sides may have the same two corners there. Each such pair gets a vertex of its own in the middle of its edge, so that no
+ * two edges are between the same vertices. middle[4 * side + edge]: its number, from `vertices` on, or SVO_NONE. */
+static svo_result split_shared(skeli_pool *pool, const sides *s, const uint32_t *corner, uint64_t vertices, uint32_t *middle, uint64_t *count, svo_error *err)
+{
+    const uint64_t n = 4 * s->count;
+    uint64_t *key = skeli_take(pool, n, sizeof *key);
+    uint32_t *order = skeli_take(pool, n, sizeof *order), *scratch = skeli_take(pool, n, sizeof *scratch);
+    if (key == NULL || order == NULL || scratch == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < n; i++) {
+        key[i] = (uint64_t)corner[i] << 32 | corner[i / 4 * 4 + (i + 1) % 4];
+        order[i] = (uint32_t)i;
+        middle[i] = SVO_NONE;
+    }
+    skeli_sort_by64(order, scratch, n, key, 64);
+    *count = 0;
+    for (uint64_t i = 0; i < n; i++) {
+        bool twice = (i > 0 && key[order[i - 1]] == key[order[i]]) || (i + 1 < n && key[order[i + 1]] == key[order[i]]);
+        if (!twice || middle[order[i]] != SVO_NONE) continue;
+        const uint64_t edge = order[i], a = corner[edge], b = corner[edge / 4 * 4 + (edge + 1) % 4];
+        const uint64_t other = 4 * (uint64_t)across(s, (uint32_t)(edge / 4), (int)(edge % 4));
+        for (uint64_t e = 0; e < 4; e++) /* the other side's edge runs the other way */
+            if (corner[other + e] == b && corner[other + (e + 1) % 4] == a) middle[other + e] = (uint32_t)(vertices + *count);
+        middle[edge] = (uint32_t)(vertices + (*count)++);
+    }
+    skeli_give(pool, key);
+    skeli_give(pool, order);
+    skeli_give(pool, scratch);
+    return SVO_OK;
+}
+
+/* A side as triangles, with the vertices in the middle of its edges. Returns how many. */
+static uint32_t triangles_of(const uint32_t *corner, const uint32_t *middle, uint32_t out[6][3])
+{
+    uint32_t ring[8], n = 0, start = 0;
+    for (int e = 0; e < 4; e++) {
+        ring[n++] = corner[e];
+        if (middle[e] == SVO_NONE) continue;
+        start = n; /* all triangles meet in a vertex of its own, so no diagonal is between two corners that others share */
+        ring[n++] = middle[e];
+    }
+    for (uint32_t t = 0; t + 2 < n; t++)
+        for (uint32_t k = 0; k < 3; k++) out[t][k] = ring[(start + (k > 0 ? t + k : 0)) % n];
+    return n - 2;
+}
+
 static svo_result build(skeli_pool *pool, const skeli_surface *surface, const skel_skeleton *k, skel_closed *out, svo_error *err)
 {
     sides s;
     SVO_TRY(find_sides(pool, &k->solid, &s, err));
     uint32_t *corner = skeli_take(pool, 4 * s.count, sizeof *corner);
     if (corner == NULL) return skeli_no_memory(err);
-    SVO_TRY(number_corners(pool, &s, corner, &out->vertex_count, err));
-    out->triangle_count = 2 * s.count;
+    uint64_t corners = 0, middles = 0;
+    uint32_t *middle = skeli_take(pool, 4 * s.count, sizeof *middle);
+    if (middle == NULL) return skeli_no_memory(err);
+    SVO_TRY(number_corners(pool, &s, corner, &corners, err));
+    SVO_TRY(split_shared(pool, &s, corner, corners, middle, &middles, err));
+    out->vertex_count = corners + middles;
+    out->triangle_count = 2 * (s.count + middles); /* a middle is on two sides */
     out->position = svo_alloc(out->allocator, 3 * out->vertex_count, sizeof *out->position);
     out->corner = svo_alloc(out->allocator, 3 * out->triangle_count, sizeof *out->corner);
-    out->invented = svo_alloc(out->allocator, out->vertex_count, 1);
+    out->invented = svo_calloc(out->allocator, out->vertex_count, 1);
     if (out->position == NULL || out->corner == NULL || out->invented == NULL) return skeli_no_memory(err);
     const skel_report *r = &k->report;
-    SVO_TRY(shape(pool, surface, &s, k->solid.voxel_to_world[0] / r->unit * SKEL_LATTICE, corner, out->vertex_count, out->position, out, err));
+    SVO_TRY(shape(pool, surface, &s, k->solid.voxel_to_world[0] / r->unit * SKEL_LATTICE, corner, corners, out->position, out, err));
+    uint64_t n = 0;
     for (uint64_t i = 0; i < s.count; i++) {
-        const uint32_t *c = corner + 4 * i, two[6] = {c[0], c[1], c[2], c[0], c[2], c[3]};
-        memcpy(out->corner + 6 * i, two, sizeof two);
+        uint32_t t[6][3];
+        for (uint64_t e = 0; e < 4; e++) {
+            const uint64_t m = middle[4 * i + e], a = corner[4 * i + e], b = corner[4 * i + (e + 1) % 4];
+            for (uint64_t x = 0; m != SVO_NONE && x < 3; x++) out->position[3 * m + x] = (out->position[3 * a + x] + out->position[3 * b + x]) / 2;
+            if (m != SVO_NONE) out->invented[m] = out->invented[a] & out->invented[b];
+        }
+        uint32_t made = triangles_of(corner + 4 * i, middle + 4 * i, t);
+        SVO_ASSERT(n + made <= out->triangle_count);
+        memcpy(out->corner + 3 * n, t, made * sizeof *t);
+        n += made;
     }
+    SVO_ASSERT(n == out->triangle_count);
+    for (uint64_t v = corners; v < out->vertex_count; v++) out->invented_count += out->invented[v];
     for (uint64_t i = 0; i < 3 * out->vertex_count; i++) out->position[i] = r->centre[i % 3] + r->unit * (out->position[i] / SKEL_LATTICE);
     return SVO_OK;
 }

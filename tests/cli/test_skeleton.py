@@ -437,6 +437,21 @@ def test_solid_and_reconstruction(folder):
     check(r.code == 5 and "--reconstruct" in r.err and not (folder / "m.ply").exists() and not (folder / "m.skel").exists(), r)
 
 
+def test_closed_surfaces_of_damaged_models(folder):
+    """Every edge has one triangle on each side, also where parts of the solid touch along an edge."""
+    for model in ("B_damaged/many_small_holes/many_small_holes.ply", "B_damaged/non_manif_hole/non_manif_hole.ply"):
+        run("svo-skeleton", support.model(model), "-o", folder / "m.skel", "-f", "--omega", 0.03, "--solid-divide", 3, "--reconstruct", folder / "m.ply", "--report", folder / "r.json")
+        head, _, body = (folder / "m.ply").read_bytes().partition(b"end_header\n")
+        vertices, triangles = (int(head.split(b"element %s " % k)[1].split()[0]) for k in (b"vertex", b"face"))
+        closed = support.report(folder / "r.json")["output"]["reconstruction"]
+        check((vertices, triangles) == (closed["vertices"], closed["triangles"]), closed)
+        corners = [c for _, *c in struct.iter_unpack("<B3I", body[25 * vertices:])]
+        edges = {(c[k], c[(k + 1) % 3]) for c in corners for k in range(3)}
+        check(len(edges) == 3 * triangles, "an edge has two triangles on one side")
+        check(all((b, a) in edges for a, b in edges), "an edge has one side")
+        check(closed["vertices_invented"] == sum(body[25 * v + 24] for v in range(vertices)) > 0, closed)
+
+
 def test_quality_in_the_report(folder):
     tube_obj(folder / "tube.obj")
     run("svo-skeleton", folder / "tube.obj", "-o", folder / "t.skel", "--omega", 0.04, "--obj", folder / "t.obj", "--report", folder / "r.json")
