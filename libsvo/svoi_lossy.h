@@ -84,7 +84,10 @@ static inline void svoi_candidates_fill(svoi_candidates *c)
 
 static inline float svoi_cost(const svoi_points *t, float distance2) { return t->price * (t->squares ? distance2 : __builtin_sqrtf(distance2)); }
 
-/* svo_palette_kinds.c: each puts what is better than `n` into it. */
+static inline uint32_t svoi_whole_bytes(uint32_t bits) { return (bits + 7) & ~7u; }
+static inline void svoi_take(svoi_node *n, float cost, uint32_t mode) { n->cost = cost, n->mode = mode, n->entries = 0; }
+
+/* svo_palette_kinds.c, svo_palette_lattice.c: each puts what is better than `n` into it. */
 void svoi_try_one(svoi_lossy_state *s, svoi_node *n);
 void svoi_try_palettes(svoi_lossy_state *s, svoi_node *n);
 void svoi_try_lines(svoi_lossy_state *s, svoi_node *n);
