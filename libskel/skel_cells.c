@@ -452,13 +452,14 @@ static void size_up(cells *g, const skeli_soup *mesh, uint32_t side)
 }
 
 /* Pieces of the surface that are mapped to one joint and hang together. A piece with one piece around it is a cap: the end of a limb, also where the contraction has put two limbs together. */
-static svo_result caps(skeli_pool *pool, const skeli_soup *mesh, const skeli_curve *c, svo_buffer *ends, svo_error *err)
+static svo_result caps(skeli_pool *pool, const skeli_soup *mesh, const skeli_curve *c, svo_buffer *ends, bool *merged, svo_error *err)
 {
     const uint32_t n = mesh->vertex_count;
     uint32_t *piece = skeli_take(pool, n, sizeof *piece), *beside = skeli_take(pool, n, sizeof *beside), *degree = skeli_take(pool, c->joints, sizeof *degree);
     uint32_t *number = skeli_take(pool, c->joints, sizeof *number);
+    uint32_t *large = skeli_take(pool, c->joints, sizeof *large), *all = skeli_take(pool, c->joints, sizeof *all);
     double *sum = skeli_take(pool, 4 * (uint64_t)n, sizeof *sum);
-    if (piece == NULL || beside == NULL || degree == NULL || number == NULL || sum == NULL) return skeli_no_memory(err);
+    if (piece == NULL || beside == NULL || degree == NULL || number == NULL || large == NULL || all == NULL || sum == NULL) return skeli_no_memory(err);
     memset(degree, 0, c->joints * sizeof *degree);
     memset(sum, 0, 4 * (size_t)n * sizeof *sum);
     for (uint64_t i = 0; i < 2 * c->bones; i++) degree[c->bone[i]]++;
@@ -486,6 +487,18 @@ static svo_result caps(skeli_pool *pool, const skeli_soup *mesh, const skeli_cur
     /* An end that is one cap is where the curve has it; several caps of one joint are ends of their own. */
     memset(number, 0, c->joints * sizeof *number);
     for (uint32_t v = 0; v < n; v++) number[c->joint_of[v]] += piece[v] == v && beside[v] < n && sum[4 * (uint64_t)v + 3] >= CAP;
+    /* An end of the curve of which two caps are two fifths each is two ends that came together. */
+    memset(large, 0, c->joints * sizeof *large);
+    memset(all, 0, c->joints * sizeof *all);
+    for (uint32_t v = 0; v < n; v++) all[c->joint_of[v]]++;
+    *merged = false;
+    for (uint32_t v = 0; v < n; v++) {
+        const uint32_t j = c->joint_of[v];
+        if (piece[v] != v || beside[v] >= n || degree[j] != 1 || sum[4 * (uint64_t)v + 3] < CAP || 5 * sum[4 * (uint64_t)v + 3] < 2 * all[j]) continue;
+        *merged |= ++large[j] > 1;
+    }
+    skeli_give(pool, large);
+    skeli_give(pool, all);
     bool ok = true;
     for (uint32_t v = 0; v < n && ok; v++) {
         const uint32_t j = c->joint_of[v];
@@ -549,15 +562,17 @@ static svo_result at_side(skeli_pool *pool, const skeli_soup *mesh, const skeli_
     return SVO_OK;
 }
 
-svo_result skeli_curve_of_cells(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, const skeli_genus *want, uint32_t threads, skeli_curve *c, bool *done,
+svo_result skeli_curve_of_cells(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, const skeli_genus *want, bool differs, uint32_t threads, skeli_curve *c, bool *done,
                                 svo_error *err)
 {
     bool beyond = false;
     svo_buffer ends;
     svo_buffer_init(&ends, pool->allocator);
-    svo_result result = caps(pool, mesh, c, &ends, err);
+    bool merged = false;
+    svo_result result = caps(pool, mesh, c, &ends, &merged, err);
     *done = false;
-    for (uint32_t round = 0, side = FIRST_SIDE; round < ROUNDS && result == SVO_OK && !*done && !beyond; round++, side += side / 2)
+    if (!merged && !differs) beyond = true; /* nothing to do */
+    for (uint32_t round = 0, side = FIRST_SIDE; round < (differs ? ROUNDS : 1) && result == SVO_OK && !*done && !beyond; round++, side += side / 2)
         result = at_side(pool, mesh, surface, want, side, threads, &ends, c, done, &beyond, err);
     svo_buffer_free(&ends);
     return result;

@@ -302,8 +302,8 @@ static svo_result handles(skeli_pool *pool, const skeli_soup *mesh, const skeli_
     if (inside) SVO_TRY(skeli_centre(pool, mesh, surface, omega, c, err));
     if (!g->known) return SVO_OK;
     SVO_TRY(skeli_curve_betti(pool, c, &r->contracted_components, &r->contracted_loops, err));
-    if (r->contracted_components == g->components && r->contracted_loops == g->genus) return SVO_OK;
-    SVO_TRY(skeli_curve_of_cells(pool, mesh, surface, g, o->threads, c, &r->rebuilt, err));
+    const bool differs = r->contracted_components != g->components || r->contracted_loops != g->genus;
+    SVO_TRY(skeli_curve_of_cells(pool, mesh, surface, g, differs, o->threads, c, &r->rebuilt, err));
     return r->rebuilt ? skeli_centre(pool, mesh, surface, omega, c, err) : SVO_OK;
 }
 

@@ -252,40 +252,83 @@ static bool facing(const cells *c, uint64_t a, uint64_t b, const int d[3])
     return x >= FACING * sqrt(aa * dd) && y <= -FACING * sqrt(bb * dd);
 }
 
-/* Which of the 8 cells around a corner hang together with `cell` (bit numbers x + 2 y + 4 z): all that are not outside; where there is a gap between any of them, those that are reached
- * through sides without one. */
-static uint32_t sheet(const cells *c, const bits *b, const uint32_t corner[3], uint32_t cell)
-{
-    uint32_t solid = 0, linked = 1u << cell, gaps = 0, beside[8];
-    uint64_t at[8];
-    for (uint32_t k = 0; k < 8; k++) solid |= (uint32_t)!is_outside(b, corner[0] - 1 + (k & 1), corner[1] - 1 + (k >> 1 & 1), corner[2] - 1 + (k >> 2)) << k;
-    for (uint32_t k = 0; k < 8; k++) {
-        at[k] = UINT64_MAX;
-        beside[k] = 0;
-        if ((solid >> k & 1) != 0) at[k] = find_cell(c, (uint32_t)svo_morton_encode(corner[0] - 1 + (k & 1), corner[1] - 1 + (k >> 1 & 1), corner[2] - 1 + (k >> 2)));
-    }
-    for (uint32_t x = 0; x < 8; x++)
-        for (uint32_t y = x + 1; y < 8; y++) {
-            if ((solid >> x & 1) == 0 || (solid >> y & 1) == 0) continue;
-            const int d[3] = {(int)(y & 1) - (int)(x & 1), (int)(y >> 1 & 1) - (int)(x >> 1 & 1), (int)(y >> 2) - (int)(x >> 2)};
-            const bool gap = at[x] != UINT64_MAX && at[y] != UINT64_MAX && facing(c, at[x], at[y], d);
-            gaps += gap;
-            if (gap || ((x ^ y) & ((x ^ y) - 1)) != 0) continue; /* not a side of both */
-            beside[x] |= 1u << y;
-            beside[y] |= 1u << x;
-        }
-    if (gaps == 0) return solid;
-    for (uint32_t before = 0; before != linked;) {
-        before = linked;
-        for (uint32_t k = 0; k < 8; k++)
-            if ((linked >> k & 1) != 0) linked |= beside[k];
-    }
-    return linked;
-}
-
 /* --- boundary of sheets ----------------------------------------------------------------------------------------------- */
 
-/* Corners of the grid that the boundary uses, by number of the corner and sheet: 0, or where several sheets meet, one more than the first of its cells. */
+/* The sides of boundary at one corner of the grid: those between the 8 cells around it, number 3 k + a for the one of cell k (bits x + 2 y + 4 z) across axis a; group[]: the lowest of those it
+ * hangs together with around the corner, 24 where there is no boundary. Several groups are several vertices: so the surface is closed and simple also where cells touch at an edge or a corner. */
+typedef struct star { uint8_t group[24], groups, solid, open[8]; /* bit y of open[x]: boundary between cells x and y */ } star;
+
+static void join_sides(star *s, uint32_t x, uint32_t y)
+{
+    const uint8_t a = s->group[x], b = s->group[y];
+    if (a == b) return;
+    for (int i = 0; i < 24; i++)
+        if (s->group[i] == (a > b ? a : b)) s->group[i] = a > b ? b : a;
+    s->groups--;
+}
+
+/* The four cells around an edge of the corner, on axis a and its lower or upper half, are a ring. A run of solid ones with no boundary between them that begins with the i-th has a side at both
+ * ends, which hang together; false where none begins there. */
+static bool run_at(const star *s, uint32_t a, uint32_t half, uint32_t i, uint32_t two[2])
+{
+    const uint32_t u = (a + 1) % 3, v = (a + 2) % 3, low = half << a, ring[4] = {low, low | 1u << u, low | 1u << u | 1u << v, low | 1u << v};
+    const uint32_t x = ring[i], before = ring[(i + 3) % 4];
+    if ((s->solid >> x & 1) == 0 || (s->open[x] >> before & 1) == 0) return false;
+    uint32_t end = i;
+    while ((s->open[ring[end % 4]] >> ring[(end + 1) % 4] & 1) == 0) end++;
+    two[0] = 3 * x + (i % 2 != 0 ? u : v); /* axes of the ways to the cells before and after */
+    two[1] = 3 * ring[end % 4] + (end % 2 == 0 ? u : v);
+    return true;
+}
+
+static void look_around(const cells *c, const bits *b, const uint32_t corner[3], star *s)
+{
+    uint32_t solid = 0;
+    uint8_t *open = s->open;
+    uint64_t at[8];
+    s->groups = 0;
+    for (uint32_t k = 0; k < 8; k++) {
+        const uint32_t p[3] = {corner[0] - 1 + (k & 1), corner[1] - 1 + (k >> 1 & 1), corner[2] - 1 + (k >> 2)};
+        at[k] = UINT64_MAX;
+        if (is_outside(b, p[0], p[1], p[2])) continue;
+        solid |= 1u << k;
+        if (c->channel != SVO_NONE) at[k] = find_cell(c, (uint32_t)svo_morton_encode(p[0], p[1], p[2]));
+    }
+    for (uint32_t k = 0; k < 8; k++) {
+        open[k] = 0;
+        for (uint32_t a = 0; a < 3; a++) {
+            const uint32_t y = k ^ 1u << a;
+            bool side = (solid >> k & 1) != 0 && (solid >> y & 1) == 0;
+            if ((solid >> k & 1) != 0 && (solid >> y & 1) != 0 && at[k] != UINT64_MAX && at[y] != UINT64_MAX) {
+                int d[3] = {0, 0, 0};
+                d[a] = (y >> a & 1) != 0 ? 1 : -1;
+                side = facing(c, at[k], at[y], d);
+            }
+            s->group[3 * k + a] = side ? (uint8_t)(3 * k + a) : 24;
+            s->groups += side;
+            if (side) open[k] |= (uint8_t)(1u << y);
+        }
+    }
+    s->solid = (uint8_t)solid;
+    for (uint32_t a = 0; a < 3; a++)
+        for (uint32_t half = 0; half < 2; half++)
+            for (uint32_t i = 0, two[2]; i < 4; i++)
+                if (run_at(s, a, half, i, two)) join_sides(s, two[0], two[1]);
+}
+
+/* Around the edge of the corner on axis a (half 1: upwards): how many runs there are, and the number of the one that has this side. */
+static uint32_t runs_at(const star *s, uint32_t a, uint32_t half, uint32_t side, uint32_t *mine)
+{
+    uint32_t runs = 0;
+    for (uint32_t i = 0, two[2]; i < 4; i++) {
+        if (!run_at(s, a, half, i, two)) continue;
+        if (two[0] == side || two[1] == side) *mine = i;
+        runs++;
+    }
+    return runs;
+}
+
+/* Corners of the grid that the boundary uses, by number of the corner and group of sides: 0, or where there are several, one more than the first side. */
 typedef struct corners {
     uint64_t *key;   /* UINT64_MAX = empty slot */
     uint32_t *index;
@@ -301,20 +344,15 @@ static uint64_t corner_slot(const corners *c, uint64_t key)
     return i;
 }
 
-/* Key of a corner as the cell sees it; *sheet_of its sheet's cells where several sheets meet, else 0. */
-static uint64_t corner_key(const corners *c, const cells *all, const bits *b, const uint32_t at[3], const uint32_t from[3], uint32_t *sheet_of)
+static uint64_t corner_key(const corners *c, const uint32_t at[3], const star *s, uint32_t side)
 {
-    const uint64_t number = ((uint64_t)at[2] * c->side + at[1]) * c->side + at[0];
-    *sheet_of = 0;
-    if (all->channel == SVO_NONE) return 16 * number;
-    uint32_t solid = 0, cell = 0, first = 0;
-    for (uint32_t k = 0; k < 3; k++) cell |= (from[k] + 1 - at[k]) << k;
-    for (uint32_t k = 0; k < 8; k++) solid |= (uint32_t)!is_outside(b, at[0] - 1 + (k & 1), at[1] - 1 + (k >> 1 & 1), at[2] - 1 + (k >> 2)) << k;
-    const uint32_t own = sheet(all, b, at, cell);
-    if (own == solid) return 16 * number;
-    while ((own >> first & 1) == 0) first++;
-    *sheet_of = own;
-    return 16 * number + 1 + first;
+    return 32 * (((uint64_t)at[2] * c->side + at[1]) * c->side + at[0]) + (s->groups > 1 ? 1 + s->group[side] : 0);
+}
+
+/* Number of a cell among the 8 around a corner. */
+static uint32_t cell_at(const uint32_t cell[3], const uint32_t corner[3])
+{
+    return (cell[0] + 1 - corner[0]) | (cell[1] + 1 - corner[1]) << 1 | (cell[2] + 1 - corner[2]) << 2;
 }
 
 typedef struct boundary {
@@ -347,6 +385,33 @@ static uint64_t count_quads(const cells *c, const bits *b)
     return n;
 }
 
+#define EDGE_KEY ((uint64_t)1 << 60)
+
+/* Groups of sides draw back from each other by up to a quarter of a cell. */
+static void draw_back(const star *s, uint32_t side, double where[3])
+{
+    double moved[3] = {0, 0, 0}, members = 0;
+    for (uint32_t m = 0; m < 24; m++) {
+        if (s->group[m] != s->group[side]) continue;
+        members++;
+        for (int e = 0; e < 3; e++) moved[e] += (m / 3 >> e & 1) != 0 ? 0.25 : -0.25;
+    }
+    for (int e = 0; e < 3; e++) where[e] += moved[e] / members;
+}
+
+static uint32_t corner_index(boundary *out, uint64_t key, const double at[3], const double *to_world, double scale)
+{
+    const uint64_t slot = corner_slot(&out->corner, key);
+    if (out->corner.key[slot] == UINT64_MAX) {
+        out->corner.key[slot] = key;
+        out->corner.index[slot] = out->corner.count++;
+        for (int e = 0; e < 3; e++)
+            out->position[3 * out->points + (uint64_t)e] = to_world[4 * e] * at[0] * scale + to_world[4 * e + 1] * at[1] * scale + to_world[4 * e + 2] * at[2] * scale + to_world[4 * e + 3];
+        out->points++;
+    }
+    return out->corner.index[slot];
+}
+
 /* Only occupied cells have sides to the outside: a filled hole is enclosed by them. */
 static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b, const double *to_world, uint64_t max_vertices, boundary *out,
                                 svo_error *err)
@@ -355,12 +420,12 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
     if (quads > 2 * max_vertices)
         return svo_fail(err, SVO_LIMIT, "the voxels have %llu outer sides at level %u, more than %llu; choose a larger omega or raise the limit on vertices",
                         (unsigned long long)quads, c->level, (unsigned long long)(2 * max_vertices));
-    while (capacity < 4 * quads) capacity *= 2; /* at most 4 corners a quad, mostly 1 */
+    while (capacity < 8 * quads) capacity *= 2; /* at most 8 points a quad, mostly 1 */
     out->corner = (corners){.mask = capacity - 1, .side = b->n + 1};
     out->corner.key = skeli_take(pool, capacity, sizeof *out->corner.key);
     out->corner.index = skeli_take(pool, capacity, sizeof *out->corner.index);
-    out->position = skeli_take(pool, 3 * 4 * quads, sizeof *out->position);
-    out->triangle = skeli_take(pool, 6 * quads, sizeof *out->triangle);
+    out->position = skeli_take(pool, 3 * 9 * quads, sizeof *out->position);
+    out->triangle = skeli_take(pool, 24 * quads, sizeof *out->triangle);
     if (out->corner.key == NULL || out->corner.index == NULL || out->position == NULL || out->triangle == NULL) return skeli_no_memory(err);
     memset(out->corner.key, 0xff, capacity * sizeof *out->corner.key);
     double scale = ldexp(1, (int)c->shift);
@@ -370,32 +435,43 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
         svo_morton_decode(codes(c)[i], &p[0], &p[1], &p[2]);
         for (int s = 0; s < 6; s++) {
             if (!is_side(c, b, i, p, s)) continue;
-            uint32_t q[4];
+            uint32_t q[8], n = 0;
             for (int k = 0; k < 4; k++) {
-                uint32_t at[3];
-                for (int e = 0; e < 3; e++) at[e] = p[e] + side_corner[s][k][e];
-                uint32_t own;
-                const uint64_t key = corner_key(&out->corner, c, b, at, p, &own), slot = corner_slot(&out->corner, key);
-                if (out->corner.key[slot] == UINT64_MAX) {
-                    double to[3], moved[3] = {0, 0, 0}, members = 0;
-                    for (uint32_t m = 0; m < 8; m++) { /* sheets draw back from each other by up to a quarter of a cell */
-                        if ((own >> m & 1) == 0) continue;
-                        members++;
-                        for (int e = 0; e < 3; e++) moved[e] += (m >> e & 1) != 0 ? 0.25 : -0.25;
-                    }
-                    for (int e = 0; e < 3; e++) to[e] = at[e] + (members > 0 ? moved[e] / members : 0);
-                    out->corner.key[slot] = key;
-                    out->corner.index[slot] = out->corner.count++;
-                    for (int e = 0; e < 3; e++)
-                        out->position[3 * out->points + (uint64_t)e] =
-                            to_world[4 * e] * to[0] * scale + to_world[4 * e + 1] * to[1] * scale + to_world[4 * e + 2] * to[2] * scale + to_world[4 * e + 3];
-                    out->points++;
+                uint32_t at[3], to[3], axis = 0, run = 0;
+                for (int e = 0; e < 3; e++) {
+                    at[e] = p[e] + side_corner[s][k][e];
+                    to[e] = p[e] + side_corner[s][(k + 1) % 4][e];
+                    if (at[e] != to[e]) axis = (uint32_t)e;
                 }
-                q[k] = out->corner.index[slot];
+                star around;
+                look_around(c, b, at, &around);
+                const uint32_t side = 3 * cell_at(p, at) + (uint32_t)s / 2, half = to[axis] > at[axis];
+                double where[3] = {at[0], at[1], at[2]};
+                if (around.groups > 1) draw_back(&around, side, where);
+                q[n++] = corner_index(out, corner_key(&out->corner, at, &around, side), where, to_world, scale);
+                if (runs_at(&around, axis, half, side, &run) < 2) continue;
+                /* cells touch at this edge: it gets a point for each run, so that it is no edge of both */
+                for (int e = 0; e < 3; e++) where[e] = (at[e] + to[e]) / 2.0;
+                const uint32_t u = (axis + 1) % 3, v = (axis + 2) % 3, *first = half != 0 ? at : to;
+                where[u] += run == 0 || run == 3 ? -0.125 : 0.125;
+                where[v] += run < 2 ? -0.125 : 0.125;
+                q[n++] = corner_index(out, EDGE_KEY + 16 * (((uint64_t)first[2] * out->corner.side + first[1]) * out->corner.side + first[0]) + 4 * axis + run, where, to_world, scale);
             }
-            const uint32_t two[6] = {q[0], q[1], q[2], q[0], q[2], q[3]};
-            memcpy(out->triangle + 3 * out->triangles, two, sizeof two);
-            out->triangles += 2;
+            /* with such points, around the middle: a diagonal beside one of them would be an edge of both after all */
+            const uint32_t middle = (uint32_t)out->points;
+            if (n > 4) {
+                for (int e = 0; e < 3; e++) {
+                    double sum = 0;
+                    for (uint32_t k = 0; k < n; k++) sum += out->position[3 * (uint64_t)q[k] + (uint64_t)e] / n;
+                    out->position[3 * out->points + (uint64_t)e] = sum;
+                }
+                out->points++;
+                out->corner.count++;
+            }
+            for (uint32_t k = 0; k < (n > 4 ? n : 2); k++) {
+                const uint32_t three[3] = {n > 4 ? middle : q[0], q[n > 4 ? k : k + 1], q[n > 4 ? (k + 1) % n : k + 2]};
+                memcpy(out->triangle + 3 * out->triangles++, three, sizeof three);
+            }
         }
     }
     return SVO_OK;
@@ -431,16 +507,21 @@ static svo_result map_cells(skeli_pool *pool, const cells *c, const bits *grid, 
     for (int pass = 0; pass < 2; pass++) {
         for (uint64_t i = 0; i < c->count; i++) {
             if (pass == 1 && joint[i] != SVO_NONE) continue;
-            uint32_t p[3], among[8], n = 0;
+            uint32_t p[3], among[24], n = 0;
             svo_morton_decode(codes(c)[i], &p[0], &p[1], &p[2]);
             double centre[3];
             for (int e = 0; e < 3; e++)
                 centre[e] = (to_world[4 * e] * (p[0] + 0.5) + to_world[4 * e + 1] * (p[1] + 0.5) + to_world[4 * e + 2] * (p[2] + 0.5)) * scale + to_world[4 * e + 3];
             for (uint32_t k = 0; k < 8 && pass == 0; k++) {
                 const uint32_t at[3] = {p[0] + (k & 1), p[1] + (k >> 1 & 1), p[2] + (k >> 2)};
-                uint32_t own;
-                uint64_t slot = corner_slot(&b->corner, corner_key(&b->corner, c, grid, at, p, &own));
-                if (b->corner.key[slot] != UINT64_MAX && s->map[b->corner.index[slot]] != SVO_NONE) among[n++] = s->map[b->corner.index[slot]];
+                star around;
+                look_around(c, grid, at, &around);
+                for (uint32_t a = 0; a < 3; a++) {
+                    const uint32_t side = 3 * cell_at(p, at) + a;
+                    if (around.group[side] == 24) continue;
+                    const uint64_t slot = corner_slot(&b->corner, corner_key(&b->corner, at, &around, side));
+                    if (b->corner.key[slot] != UINT64_MAX && s->map[b->corner.index[slot]] != SVO_NONE) among[n++] = s->map[b->corner.index[slot]];
+                }
             }
             joint[i] = pass == 1 ? nearest_joint(s, centre, NULL, s->joint_count) : n > 0 ? nearest_joint(s, centre, among, n) : SVO_NONE;
             if (joint[i] != SVO_NONE && pass == 0) queue[tail++] = (uint32_t)i;
