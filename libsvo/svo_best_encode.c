@@ -2,47 +2,13 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "svoi_best_encode.h"
+#include "svoi_best_encoder.h"
 
 enum {
     MOST_PAIRS = 1 << 22, /* of bricks that are looked at to find classes */
 };
 
-typedef enum pass { PASS_COUNT, PASS_SIZE, PASS_WRITE } pass;
-
-typedef struct encoder {
-    const svo_allocator *a;
-    const svoi_symdag *d;
-    uint32_t block_level, classes;
-    bool numbered, solid;
-    svoi_corners corners;
-    svoi_contexts contexts;
-    /* of each stored node of levels 0 .. block_level */
-    uint8_t *frame[SVO_MAX_DEPTH]; /* turn from the stored node to the frame it is written in */
-    uint64_t *bits[SVO_MAX_DEPTH]; /* size of what is written for it, without its mask */
-    uint64_t *place[SVO_MAX_DEPTH]; /* byte of a shared node in its pool */
-    uint64_t pool_bytes[SVO_MAX_DEPTH], shared[SVO_MAX_DEPTH];
-    uint32_t *order[SVO_MAX_DEPTH]; /* shared nodes of a level as they lie in its pool */
-    uint8_t tier[SVO_MAX_DEPTH][SVOI_TIERS];
-    /* of each brick */
-    uint8_t *class_of;
-    uint32_t *id; /* in its class */
-    uint32_t class_count[SVOI_CLASSES], class_first[SVOI_CLASSES];
-    uint32_t *dictionary; /* numbers of bricks */
-    uint64_t dictionary_count;
-    uint8_t *id_length; /* by place in the dictionary */
-    uint32_t *id_code;
-    /* codes */
-    pass pass;
-    uint64_t (*weight)[SVOI_HUFFMAN_SYMBOLS];
-    uint8_t (*length)[SVOI_HUFFMAN_SYMBOLS];
-    uint32_t (*code)[SVOI_HUFFMAN_SYMBOLS];
-    uint8_t (*turn_cost)[SVOI_TURNS]; /* of turn contexts, to choose among turns that mean the same */
-    bool costs;
-    uint64_t size; /* PASS_SIZE */
-    svoi_bit_writer out;
-    svoi_best_stats stats;
-} encoder;
+typedef svoi_best_encoder encoder;
 
 static bool shared(const encoder *e, uint32_t level, uint32_t number) { return level == 0 || e->d->level[level].uses[number] > 1; }
 
@@ -179,7 +145,7 @@ static uint64_t child_size(const encoder *e, uint32_t level, const children *c, 
 /* Bits of the child's mask where it is written inside its parent. */
 static uint64_t mask_bits(encoder *e, uint32_t child_level, const children *c, uint32_t octant)
 {
-    pass now = e->pass;
+    svoi_best_pass now = e->pass;
     uint64_t size = e->size;
     e->pass = PASS_SIZE;
     e->size = 0;
@@ -288,61 +254,6 @@ static bool make_classes(encoder *e)
     return ok;
 }
 
-/* The dictionary: class after class, most used first. */
-static int compare_u64(const void *a, const void *b)
-{
-    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
-    return (x > y) - (x < y);
-}
-
-static bool make_dictionary(encoder *e)
-{
-    const svoi_symlevel *bricks = &e->d->level[e->d->brick_level];
-    uint64_t *key = svo_alloc(e->a, bricks->count + 1, sizeof *key), n = 0;
-    if (key == NULL) return false;
-    memset(e->class_count, 0, sizeof e->class_count);
-    for (uint32_t i = 0; i < bricks->count; i++) {
-        if (e->class_of[i] == e->classes - 1) continue;
-        key[n++] = (uint64_t)(UINT32_MAX - bricks->uses[i]) << 32 | i;
-        e->class_count[e->class_of[i]]++;
-    }
-    qsort(key, (size_t)n, sizeof *key, compare_u64);
-    uint32_t next[SVOI_CLASSES] = {0}, first = 0;
-    for (uint32_t c = 0; c < e->classes; c++) {
-        e->class_first[c] = first;
-        if (c + 1 < e->classes) first += e->class_count[c];
-    }
-    for (uint64_t i = 0; i < n; i++) {
-        uint32_t brick = (uint32_t)key[i], c = e->class_of[brick];
-        e->id[brick] = next[c]++;
-        e->dictionary[e->class_first[c] + e->id[brick]] = brick;
-    }
-    e->dictionary_count = n;
-    svo_free(e->a, key, bricks->count + 1, sizeof *key);
-    return true;
-}
-
-static int compare_u8(const void *a, const void *b) { return *(const uint8_t *)a - *(const uint8_t *)b; }
-
-/* Lengths ascend with the number, so that the file holds only how many there are of each. */
-static bool make_id_codes(encoder *e)
-{
-    const svoi_symlevel *bricks = &e->d->level[e->d->brick_level];
-    uint64_t *weight = svo_alloc(e->a, e->dictionary_count + 1, sizeof *weight);
-    bool ok = weight != NULL;
-    for (uint64_t i = 0; i < e->dictionary_count && ok; i++) weight[i] = bricks->uses[e->dictionary[i]];
-    for (uint32_t c = 1; c + 1 < e->classes && ok; c++) {
-        uint32_t first = e->class_first[c], n = e->class_count[c];
-        if (n == 0) continue;
-        ok = svoi_huffman_lengths(e->a, weight + first, n, SVOI_ID_LONGEST, e->id_length + first);
-        if (!ok) break;
-        qsort(e->id_length + first, n, 1, compare_u8);
-        svoi_huffman_codes(e->id_length + first, n, e->id_code + first);
-    }
-    svo_free(e->a, weight, e->dictionary_count + 1, sizeof *weight);
-    return ok;
-}
-
 /* What all blocks and their masks hold, as the symbols that they will be written with. */
 static void count_symbols(encoder *e)
 {
@@ -388,7 +299,7 @@ static bool make_codes(encoder *e)
         if (!svoi_huffman_lengths(e->a, e->weight[c], n, SVOI_HUFFMAN_LONGEST, e->length[c])) return false;
         svoi_huffman_codes(e->length[c], n, e->code[c]);
     }
-    return make_id_codes(e);
+    return svoi_best_make_id_codes(e);
 }
 
 /* Bricks whose writing out costs no more than their entry and the references to it. */
@@ -414,6 +325,12 @@ static void choose_written_out(encoder *e)
         }
         if (known && uses * cost <= 64 + uses * (uint64_t)(e->id_length[at] + 3)) e->class_of[i] = (uint8_t)(e->classes - 1);
     }
+}
+
+static int compare_u64(const void *a, const void *b)
+{
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return (x > y) - (x < y);
 }
 
 /* --- sizes ------------------------------------------------------------------------------------------------------- */
@@ -564,11 +481,11 @@ static bool encode(encoder *e)
     make_frames(e);
     for (uint32_t i = 0; i < bricks->count; i++)
         if (bricks->uses[i] < 2) e->class_of[i] = (uint8_t)(e->classes - 1);
-    if (!make_classes(e) || !make_dictionary(e)) return false;
+    if (!make_classes(e) || !svoi_best_make_dictionary(e)) return false;
     count_symbols(e);
     if (!make_turn_costs(e) || !make_codes(e)) return false;
     choose_written_out(e);
-    if (!make_dictionary(e)) return false;
+    if (!svoi_best_make_dictionary(e)) return false;
     count_symbols(e);
     if (!make_codes(e)) return false;
     for (uint32_t level = e->block_level + 1; level-- > 0;)
