@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "skeli_internal.h"
-#include "skeli_prepare.h"
+#include "skel_prepare.h"
 #include "skeli_refine.h"
 #include "skel_solid.h"
 #include "skeli_segment.h"
@@ -180,7 +180,7 @@ static void flatten(const svo_mesh *mesh, double *position, uint32_t *corner)
     }
 }
 
-svo_result skeli_flat_make(const svo_mesh *mesh, const svo_allocator *a, skeli_flat *out, svo_error *err)
+svo_result skel_flat_make(const svo_mesh *mesh, const svo_allocator *a, skel_flat *out, svo_error *err)
 {
     uint64_t points = 0, triangles = 0;
     memset(out, 0, sizeof *out);
@@ -194,13 +194,13 @@ svo_result skeli_flat_make(const svo_mesh *mesh, const svo_allocator *a, skeli_f
         }
     }
     if (triangles == 0) return svo_fail(err, SVO_INVALID_DATA, "the model has no triangles, so it has no skeleton");
-    *out = (skeli_flat){svo_alloc(a, 3 * points, sizeof *out->position), svo_alloc(a, 3 * triangles, sizeof *out->corner), points, triangles};
+    *out = (skel_flat){svo_alloc(a, 3 * points, sizeof *out->position), svo_alloc(a, 3 * triangles, sizeof *out->corner), points, triangles};
     if (out->position == NULL || out->corner == NULL) return skeli_no_memory(err);
     flatten(mesh, out->position, out->corner);
     return SVO_OK;
 }
 
-void skeli_flat_free(skeli_flat *f, const svo_allocator *a)
+void skel_flat_free(skel_flat *f, const svo_allocator *a)
 {
     svo_free(a, f->position, 3 * f->points, sizeof *f->position);
     svo_free(a, f->corner, 3 * f->triangles, sizeof *f->corner);
@@ -209,14 +209,14 @@ void skeli_flat_free(skeli_flat *f, const svo_allocator *a)
 svo_result skel_build_mesh(const svo_mesh *mesh, const skel_options *options, skel_skeleton *out, svo_error *err)
 {
     SVO_TRY(skeli_check_options(options, err));
-    skeli_flat f;
-    svo_result result = skeli_flat_make(mesh, options->allocator, &f, err);
+    skel_flat f;
+    svo_result result = skel_flat_make(mesh, options->allocator, &f, err);
     if (result == SVO_OK) result = skeli_pipeline(f.position, f.points, f.corner, f.triangles, options, out, err);
-    skeli_flat_free(&f, options->allocator);
+    skel_flat_free(&f, options->allocator);
     return result;
 }
 
-static svo_result quality_of(skeli_pool *pool, const skeli_flat *f, const skel_skeleton *s, uint32_t threads, skel_quality *q, svo_error *err)
+static svo_result quality_of(skeli_pool *pool, const skel_flat *f, const skel_skeleton *s, uint32_t threads, skel_quality *q, svo_error *err)
 {
     skel_report r = {.omega = 0.0125, .normalize = SKEL_NORMALIZE_BALL};
     skeli_soup soup, mesh;
@@ -235,31 +235,31 @@ static svo_result quality_of(skeli_pool *pool, const skeli_flat *f, const skel_s
 
 svo_result skel_measure_quality(const svo_mesh *mesh, const skel_skeleton *s, uint32_t threads, const svo_allocator *a, skel_quality *out, svo_error *err)
 {
-    skeli_flat f;
+    skel_flat f;
     skeli_pool pool = {.allocator = a};
-    svo_result result = skeli_flat_make(mesh, a, &f, err);
+    svo_result result = skel_flat_make(mesh, a, &f, err);
     if (result == SVO_OK) result = quality_of(&pool, &f, s, threads, out, err);
     skeli_pool_free(&pool);
-    skeli_flat_free(&f, a);
+    skel_flat_free(&f, a);
     return result;
 }
 
 svo_result skel_reconstruct(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_closed *out, svo_error *err)
 {
-    skeli_flat f;
-    svo_result result = skeli_flat_make(mesh, a, &f, err);
+    skel_flat f;
+    svo_result result = skel_flat_make(mesh, a, &f, err);
     if (result == SVO_OK) result = skeli_reconstruct(f.position, f.points, f.corner, f.triangles, s, a, out, err);
-    skeli_flat_free(&f, a);
+    skel_flat_free(&f, a);
     return result;
 }
 
 svo_result skel_segments_make(const svo_mesh *mesh, const skel_skeleton *s, const svo_allocator *a, skel_segments *out, svo_error *err)
 {
-    skeli_flat f;
-    svo_result result = skeli_flat_make(mesh, a, &f, err);
+    skel_flat f;
+    svo_result result = skel_flat_make(mesh, a, &f, err);
     if (result == SVO_OK && (s->report.source != SKEL_SOURCE_MESH || s->map_count != f.points))
         result = svo_fail(err, SVO_INVALID_ARGUMENT, "the skeleton was not built from this mesh");
     if (result == SVO_OK) result = skeli_segments(f.position, f.points, f.corner, f.triangles, s, a, out, err);
-    skeli_flat_free(&f, a);
+    skel_flat_free(&f, a);
     return result;
 }

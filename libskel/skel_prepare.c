@@ -1,5 +1,5 @@
 /* A copy of a mesh that may be changed before its skeleton is built, and the way back to the elements of the mesh that was given. */
-#include "skeli_prepare.h"
+#include "skel_prepare.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -19,7 +19,7 @@ static int by_place(const void *a, const void *b)
 }
 
 /* What has a finite triangle: state 1 of a point. Returns the number of such triangles, which come first. */
-static uint64_t finite_triangles(const skeli_flat *f, uint8_t *used)
+static uint64_t finite_triangles(const skel_flat *f, uint8_t *used)
 {
     uint64_t n = 0;
     for (uint64_t t = 0; t < f->triangles; t++) {
@@ -35,7 +35,7 @@ static uint64_t finite_triangles(const skeli_flat *f, uint8_t *used)
 }
 
 /* Points that have a triangle, sorted by place, one for each; same[] is where each went. The places go to the front of position. */
-static svo_result weld(const skeli_flat *f, const uint8_t *used, const svo_allocator *a, uint32_t *same, uint64_t *places, svo_error *err)
+static svo_result weld(const skel_flat *f, const uint8_t *used, const svo_allocator *a, uint32_t *same, uint64_t *places, svo_error *err)
 {
     placed *all = svo_alloc(a, f->points, sizeof *all);
     if (all == NULL) return skeli_no_memory(err);
@@ -58,7 +58,7 @@ static svo_result weld(const skeli_flat *f, const uint8_t *used, const svo_alloc
     return SVO_OK;
 }
 
-void skeli_prepared_replace(skeli_prepared *p, double *position, uint64_t points, uint32_t *corner, uint64_t triangles)
+void skel_prepared_replace(skel_prepared *p, double *position, uint64_t points, uint32_t *corner, uint64_t triangles)
 {
     if (p->part.positions != position) svo_free(p->allocator, p->part.positions, 3 * p->points, sizeof *p->part.positions);
     if (p->part.indices != corner) svo_free(p->allocator, p->part.indices, 3 * p->triangles, sizeof *p->part.indices);
@@ -68,17 +68,17 @@ void skeli_prepared_replace(skeli_prepared *p, double *position, uint64_t points
     p->part.triangle_count = p->triangles = triangles;
 }
 
-svo_result skeli_prepare(const svo_mesh *mesh, const svo_allocator *a, skeli_prepared *out, svo_error *err)
+svo_result skel_prepare(const svo_mesh *mesh, const svo_allocator *a, skel_prepared *out, svo_error *err)
 {
     static char no_name[] = "";
-    skeli_flat f = {0};
-    *out = (skeli_prepared){.allocator = a, .part = {.material = SVO_NONE}};
-    svo_result r = skeli_flat_make(mesh, a, &f, err);
+    skel_flat f = {0};
+    *out = (skel_prepared){.allocator = a, .part = {.material = SVO_NONE}};
+    svo_result r = skel_flat_make(mesh, a, &f, err);
     if (r != SVO_OK) {
-        skeli_flat_free(&f, a);
+        skel_flat_free(&f, a);
         return r;
     }
-    skeli_prepared_replace(out, f.position, f.points, f.corner, f.triangles);
+    skel_prepared_replace(out, f.position, f.points, f.corner, f.triangles);
     out->shape = (svo_shape){.name = no_name, .part_count = 1, .parts = &out->part};
     out->instance = (svo_instance){.name = no_name, .transform = svo_mat4_identity()};
     out->mesh = (svo_mesh){.allocator = a, .shape_count = 1, .instance_count = 1, .shapes = &out->shape, .instances = &out->instance};
@@ -106,21 +106,21 @@ svo_result skeli_prepare(const svo_mesh *mesh, const svo_allocator *a, skeli_pre
     return r;
 }
 
-void skeli_prepared_free(skeli_prepared *p)
+void skel_prepared_free(skel_prepared *p)
 {
     if (p == NULL) return;
-    skeli_prepared_replace(p, NULL, 0, NULL, 0);
+    skel_prepared_replace(p, NULL, 0, NULL, 0);
     svo_free(p->allocator, p->same, p->given, sizeof *p->same);
     memset(p, 0, sizeof *p);
 }
 
-svo_result skeli_prepared_unit(const skeli_prepared *p, skel_normalize how, double *unit, svo_error *err)
+svo_result skel_prepared_unit(const skel_prepared *p, skel_normalize how, double *unit, svo_error *err)
 {
     double centre[3];
     return skeli_normalization(p->part.positions, p->places, how, centre, unit, err);
 }
 
-svo_result skeli_prepared_map(const skeli_prepared *p, skel_skeleton *s, svo_error *err)
+svo_result skel_prepared_map(const skel_prepared *p, skel_skeleton *s, svo_error *err)
 {
     skel_report *r = &s->report;
     SVO_ASSERT(s->map_count == p->part.vertex_count);

@@ -136,19 +136,23 @@ static void read_finest(const svo_pyramid *p, const svo_texture *how, svoi_lanes
     }
 }
 
-/* Texel coordinates of the centroids. */
-static void find_texels(const svo_facet *t, const svo_facet_texture *f, svoi_lanes *l)
+/* One texel coordinate of the centroids. (Both in one loop is what gcc 12's -fivopts gets wrong at -O1.) */
+static void find_texel(const svo_facet *t, const double corner[3], double per_x, double per_y, svoi_lanes *l, double *at)
 {
     const uint32_t n = rounded(l->count);
-    for (int k = 0; k < 2; k++) {
-        if (t->normal[t->axis] == 0 || t->inside) {
-            for (uint32_t i = 0; i < n; i++)
-                l->at[k][i] = (double)l->b[0][i] * f->corner[0][k] + (double)l->b[1][i] * f->corner[1][k] + (double)l->b[2][i] * f->corner[2][k];
-            continue;
-        }
-        const double ox = t->corner[0][(t->axis + 1) % 3], oy = t->corner[0][(t->axis + 2) % 3], c = f->corner[0][k], px = f->per_x[k], py = f->per_y[k];
-        for (uint32_t i = 0; i < n; i++) l->at[k][i] = c + ((double)l->clip.cx[i] - ox) * px + ((double)l->clip.cy[i] - oy) * py;
+    if (t->normal[t->axis] == 0 || t->inside) {
+        for (uint32_t i = 0; i < n; i++) at[i] = (double)l->b[0][i] * corner[0] + (double)l->b[1][i] * corner[1] + (double)l->b[2][i] * corner[2];
+        return;
     }
+    const double ox = t->corner[0][(t->axis + 1) % 3], oy = t->corner[0][(t->axis + 2) % 3];
+    for (uint32_t i = 0; i < n; i++) at[i] = corner[0] + ((double)l->clip.cx[i] - ox) * per_x + ((double)l->clip.cy[i] - oy) * per_y;
+}
+
+static void find_texels(const svo_facet *t, const svo_facet_texture *f, svoi_lanes *l)
+{
+    const double u[3] = {f->corner[0][0], f->corner[1][0], f->corner[2][0]}, v[3] = {f->corner[0][1], f->corner[1][1], f->corner[2][1]};
+    find_texel(t, u, f->per_x[0], f->per_y[0], l, l->at[0]);
+    find_texel(t, v, f->per_x[1], f->per_y[1], l, l->at[1]);
 }
 
 /* Is every piece narrower than 0.6 texels, so that one bilinear reading of the image will do? A convex piece varies by at most 1/12 along each axis. */
@@ -183,7 +187,8 @@ static void read_lanes(svo_facet *t, uint32_t slot, const svo_texture *how, cons
     const uint32_t x = (t->axis + 1) % 3, y = (t->axis + 2) % 3;
     for (uint32_t i = 0; i < l->count; i++) {
         if (batch && (!weighted || out[3][i] > 0)) {
-            for (int k = 0; weighted && k < 3; k++) out[k][i] /= out[3][i];
+            if (weighted)
+                for (int k = 0; k < 3; k++) out[k][i] /= out[3][i];
             continue;
         }
         svo_piece piece = {.xx = (double)l->clip.xx[i], .xy = (double)l->clip.xy[i], .yy = (double)l->clip.yy[i]};

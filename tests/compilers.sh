@@ -1,6 +1,6 @@
 #!/bin/sh
-# The same bytes from other compilers and optimization: builds svo-voxelize with gcc and clang at -O0 and -O3 and compares what they write.
-# Not a part of ctest, because it builds the libraries four times.
+# The same bytes from other compilers and optimization: builds svo-voxelize with gcc and clang at -O0 to -O3 and compares what they write.
+# Not a part of ctest, because it builds the libraries eight times.
 #   tests/compilers.sh BUILD_FOLDER [MESH...]      (without meshes: what the folder of real models has, else a generated one)
 set -eu
 source=$(cd "$(dirname "$0")/.." && pwd)
@@ -24,7 +24,7 @@ configurations=
 for c in gcc clang; do
     command -v $c > /dev/null || { echo "no $c: left out"; continue; }
     x=g++; [ $c = clang ] && x=clang++
-    for o in O0 O3; do
+    for o in O0 O1 O2 O3; do
         configurations="$configurations $c-$o"
         cmake -S "$source" -B "$build/$c-$o" -DCMAKE_C_COMPILER=$c -DCMAKE_CXX_COMPILER=$x -DCMAKE_BUILD_TYPE=None -DCMAKE_C_FLAGS=-$o -DCMAKE_CXX_FLAGS=-$o \
             -DSVO_BUILD_TESTS=OFF ${CMAKE_ARGS:-} > "$build/$c-$o.log" 2>&1 && cmake --build "$build/$c-$o" --target svo-voxelize -j "${JOBS:-2}" >> "$build/$c-$o.log" 2>&1 ||

@@ -4,7 +4,7 @@
 
 #include "cli.h"
 #include "fmt_skel.h"
-#include "skeli_prepare.h"
+#include "skel_repair.h"
 #include "svo_mesh.h"
 
 enum { SKELETON_MAX_LISTED = 256 }; /* components and segments in the report; all are counted */
@@ -25,7 +25,7 @@ typedef struct skeleton_options {
 typedef struct skeleton_input {
     svo_mesh mesh;           /* as it was given; empty of voxels */
     bool is_prepared;        /* the skeleton is that of `prepared` */
-    skeli_prepared prepared; /* --repair, --tessellate */
+    skel_prepared prepared; /* --repair, --tessellate */
     json_t *provenance;      /* array of inputs */
 } skeleton_input;
 /* The input of the command line to a skeleton. textures: whether they are wanted as well. `memory`: what is left of --memory, NULL without a limit. */

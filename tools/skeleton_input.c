@@ -29,7 +29,7 @@ static svo_result from_voxels(cli *c, fmt_input *in, const skel_options *o, skel
     return r;
 }
 
-static void report_repair(cli *c, const skeli_prepared *p, const skeli_repair_report *r)
+static void report_repair(cli *c, const skel_prepared *p, const skel_repair_report *r)
 {
     json_t *j = json_object();
     cli_put_text(j, "by", "CGAL");
@@ -49,23 +49,23 @@ static void report_repair(cli *c, const skeli_prepared *p, const skeli_repair_re
 /* A copy of the mesh, changed by other people's code; from it the skeleton, whose map is that of the mesh. */
 static svo_result from_prepared(cli *c, const skeleton_options *o, const skel_options *library, const svo_limit_allocator *memory, skeleton_input *in, skel_skeleton *out, svo_error *err)
 {
-    skeli_prepared *p = &in->prepared;
+    skel_prepared *p = &in->prepared;
     in->is_prepared = true;
-    SVO_TRY(skeli_prepare(&in->mesh, library->allocator, p, err));
+    SVO_TRY(skel_prepare(&in->mesh, library->allocator, p, err));
     uint64_t left = 0; /* of --memory, for what does not come from the allocator */
     if (memory != NULL) left = memory->limit > svo_limit_in_use(memory) ? memory->limit - svo_limit_in_use(memory) : 1;
     if (o->repair == REPAIR_CGAL) {
-        skeli_repair_report r;
+        skel_repair_report r;
         cli_phase(c, "repair");
-        SVO_TRY(skeli_repair_cgal(p, left, &r, err));
+        SVO_TRY(skel_repair_cgal(p, left, &r, err));
         report_repair(c, p, &r);
     }
     if (o->tessellate == TESSELLATE_OPENMESH) {
-        skeli_split_report r;
+        skel_split_report r;
         double unit;
         cli_phase(c, "split");
-        SVO_TRY(skeli_prepared_unit(p, library->normalize, &unit, err));
-        SVO_TRY(skeli_split_openmesh(p, library->omega * unit, library->max_vertices, left, &r, err));
+        SVO_TRY(skel_prepared_unit(p, library->normalize, &unit, err));
+        SVO_TRY(skel_split_openmesh(p, library->omega * unit, library->max_vertices, left, &r, err));
         json_t *j = json_object();
         cli_put_text(j, "by", "OpenMesh");
         cli_put_u64(j, "splits", r.splits);
@@ -74,7 +74,7 @@ static svo_result from_prepared(cli *c, const skeleton_options *o, const skel_op
     }
     cli_phase(c, NULL);
     SVO_TRY(skel_build_mesh(&p->mesh, library, out, err));
-    return skeli_prepared_map(p, out, err);
+    return skel_prepared_map(p, out, err);
 }
 
 static svo_result from_mesh(cli *c, const skeleton_options *o, const skel_options *library, const svo_limit_allocator *memory, skeleton_input *in, skel_skeleton *out, svo_error *err)
@@ -126,7 +126,7 @@ svo_result skeleton_build(cli *c, const skeleton_options *o, const skel_options 
 
 void skeleton_input_free(skeleton_input *in)
 {
-    skeli_prepared_free(&in->prepared);
+    skel_prepared_free(&in->prepared);
     svo_mesh_free(&in->mesh);
     json_decref(in->provenance);
 }

@@ -1,7 +1,7 @@
 // CGAL's repair of polygon soups. CGAL's Polygon_mesh_processing is GPL, so this is in no library that is installed: svo-skeleton alone links it, where the
 // build has it.
 #include "cxx_guard.hpp"
-#include "skeli_prepare.h"
+#include "skel_repair.h"
 
 #ifdef SVO_HAVE_CGAL
 #include <CGAL/Polygon_mesh_processing/orient_polygon_soup.h>
@@ -24,11 +24,11 @@ using triangle = std::array<std::size_t, 3>;
 constexpr uint64_t bytes_per_triangle = 700;
 
 struct counter : pmp::Default_orientation_visitor {
-    counter(skeli_repair_report *report, std::vector<std::array<std::size_t, 2>> *list) : out(report), edges(list) {}
+    counter(skel_repair_report *report, std::vector<std::array<std::size_t, 2>> *list) : out(report), edges(list) {}
     void non_manifold_edge(std::size_t a, std::size_t b, std::size_t) { edges->push_back({std::min(a, b), std::max(a, b)}); } // told more than once
     void non_manifold_vertex(std::size_t, std::size_t) { out->vertices_nonmanifold++; }
     void polygon_orientation_reversed(std::size_t) { out->triangles_turned++; }
-    skeli_repair_report *out;
+    skel_repair_report *out;
     std::vector<std::array<std::size_t, 2>> *edges;
 };
 
@@ -56,13 +56,13 @@ bool before(const double *a, const double *b) { return a[0] != b[0] ? a[0] < b[0
 
 } // namespace
 
-extern "C" bool skeli_have_cgal(void) { return true; }
+extern "C" bool skel_have_cgal(void) { return true; }
 
-extern "C" svo_result skeli_repair_cgal(skeli_prepared *p, uint64_t memory, skeli_repair_report *out, svo_error *err)
+extern "C" svo_result skel_repair_cgal(skel_prepared *p, uint64_t memory, skel_repair_report *out, svo_error *err)
 {
     return svo_guard(err, [&] {
         const double since = svo_seconds();
-        skeli_repair_report report = {};
+        skel_repair_report report = {};
         const svo_part &part = p->part;
         const uint64_t places = p->places;
         if (memory != 0 && part.triangle_count > memory / bytes_per_triangle)
@@ -112,16 +112,16 @@ extern "C" svo_result skeli_repair_cgal(skeli_prepared *p, uint64_t memory, skel
         }
         for (std::size_t t = 0; t < triangles.size(); t++)
             for (std::size_t k = 0; k < 3; k++) corner.data[3 * t + k] = where[triangles[t][k]];
-        skeli_prepared_replace(p, position.release(), total, corner.release(), triangles.size());
+        skel_prepared_replace(p, position.release(), total, corner.release(), triangles.size());
         report.seconds = svo_seconds() - since;
         *out = report;
         return SVO_OK;
     });
 }
 #else
-extern "C" bool skeli_have_cgal(void) { return false; }
+extern "C" bool skel_have_cgal(void) { return false; }
 
-extern "C" svo_result skeli_repair_cgal(skeli_prepared *, uint64_t, skeli_repair_report *, svo_error *err)
+extern "C" svo_result skel_repair_cgal(skel_prepared *, uint64_t, skel_repair_report *, svo_error *err)
 {
     return svo_fail(err, SVO_UNSUPPORTED, "this svo-skeleton was built without CGAL (libcgal-dev, -DSVO_WITH_CGAL=ON); use --repair own");
 }

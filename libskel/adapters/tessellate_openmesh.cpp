@@ -1,6 +1,6 @@
 // Edges split by OpenMesh, the longest first, in place of skel_tessellate.c. In a library of its own, which svo-skeleton alone links, so that libsvoskel needs no OpenMesh.
 #include "cxx_guard.hpp"
-#include "skeli_prepare.h"
+#include "skel_repair.h"
 
 #ifdef SVO_HAVE_OPENMESH
 #include <OpenMesh/Core/System/omstream.hh>
@@ -45,13 +45,13 @@ double squared_length(const mesh_type &m, OpenMesh::EdgeHandle e)
 
 } // namespace
 
-extern "C" bool skeli_have_openmesh(void) { return true; }
+extern "C" bool skel_have_openmesh(void) { return true; }
 
-extern "C" svo_result skeli_split_openmesh(skeli_prepared *p, double length, uint64_t max_points, uint64_t memory, skeli_split_report *out, svo_error *err)
+extern "C" svo_result skel_split_openmesh(skel_prepared *p, double length, uint64_t max_points, uint64_t memory, skel_split_report *out, svo_error *err)
 {
     return svo_guard(err, [&] {
         const double since = svo_seconds();
-        skeli_split_report report = {};
+        skel_split_report report = {};
         const svo_part &part = p->part;
         if (max_points > INT32_MAX - 1) max_points = INT32_MAX - 1;
         if (memory != 0 && max_points > memory / bytes_per_point) max_points = memory / bytes_per_point;
@@ -106,16 +106,16 @@ extern "C" svo_result skeli_split_openmesh(skeli_prepared *p, double length, uin
         uint64_t at = 0;
         for (auto f : m.faces())
             for (auto v : m.fv_range(f)) index[at++] = static_cast<uint32_t>(v.idx());
-        skeli_prepared_replace(p, position, points, index, triangles);
+        skel_prepared_replace(p, position, points, index, triangles);
         report.seconds = svo_seconds() - since;
         *out = report;
         return SVO_OK;
     });
 }
 #else
-extern "C" bool skeli_have_openmesh(void) { return false; }
+extern "C" bool skel_have_openmesh(void) { return false; }
 
-extern "C" svo_result skeli_split_openmesh(skeli_prepared *, double, uint64_t, uint64_t, skeli_split_report *, svo_error *err)
+extern "C" svo_result skel_split_openmesh(skel_prepared *, double, uint64_t, uint64_t, skel_split_report *, svo_error *err)
 {
     return svo_fail(err, SVO_UNSUPPORTED, "this svo-skeleton was built without OpenMesh (libopenmesh-dev, -DSVO_WITH_OPENMESH=ON); use --tessellate own");
 }
