@@ -103,8 +103,8 @@ static inline bool remember_columns(const svo_raster_row *row, int32_t u, uint32
     memcpy(&lo, row->lo + u, sizeof lo);
     memcpy(&hi, row->hi + u, sizeof hi);
     columns there = (lo <= hi) & (number >= row->u0 - u) & (number <= row->u1 - u);
-    lo -= base;
-    hi -= base;
+    lo = (lo & there) - base; /* the others are whatever an earlier row left there */
+    hi = (hi & there) - base;
     const columns first = lo & (lo > 0), last = (hi & (hi < 31)) | ((zero + 31) & (hi >= 31)), whole = (first == lo) & (last == hi);
     const column_set outside = (column_set)(there & ~whole);
     there &= first <= last;
