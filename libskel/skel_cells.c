@@ -213,6 +213,21 @@ static uint32_t key_of(const cells *g, uint64_t place)
     return ((uint32_t)g->deep[point_at(g, at[0] / 2, at[1] / 2, at[2] / 2)] + g->deep[point_at(g, (at[0] + 1) / 2, (at[1] + 1) / 2, (at[2] + 1) / 2)]) / 2;
 }
 
+/* Sides of a place that was taken away, as far as they are free now. What waits at a depth that is done is taken at this one. */
+static bool push_sides(queue *q, const cells *g, uint64_t place, uint32_t key)
+{
+    uint32_t at[3];
+    coordinates(g, place, at);
+    for (int k = 0; k < 3; k++)
+        for (int end = 0; end < 2 && at[k] % 2 != 0; end++) {
+            const uint64_t i = end == 0 ? place - g->stride[k] : place + g->stride[k];
+            if (g->place[i] != PRESENT || only_cell(g, i) == UINT64_MAX) continue;
+            const uint32_t deep = key_of(g, i);
+            if (!push(q, deep > key ? deep : key, i)) return false;
+        }
+    return true;
+}
+
 static svo_result take_away(skeli_pool *pool, cells *g, svo_error *err)
 {
     uint32_t deepest = 0;
@@ -238,24 +253,8 @@ static svo_result take_away(skeli_pool *pool, cells *g, svo_error *err)
         q.spare = e;
         if (g->place[side] != PRESENT || (cell = only_cell(g, side)) == UINT64_MAX) continue;
         g->place[side] = g->place[cell] = 0;
-        uint32_t at[3];
-        coordinates(g, cell, at);
-        for (int k = 0; k < 3 && ok; k++)
-            for (int e2 = 0; e2 < 2 && at[k] % 2 != 0 && ok; e2++) {
-                uint64_t i = e2 == 0 ? cell - g->stride[k] : cell + g->stride[k];
-                if (g->place[i] != PRESENT || only_cell(g, i) == UINT64_MAX) continue;
-                uint32_t deep = key_of(g, i);
-                ok = push(&q, deep > key ? deep : key, i);
-            }
-        /* and the sides of what was taken away as a side, which may have been the last but one cell around them */
-        coordinates(g, side, at);
-        for (int k = 0; k < 3 && ok; k++)
-            for (int e2 = 0; e2 < 2 && at[k] % 2 != 0 && ok; e2++) {
-                uint64_t i = e2 == 0 ? side - g->stride[k] : side + g->stride[k];
-                if (g->place[i] != PRESENT || only_cell(g, i) == UINT64_MAX) continue;
-                uint32_t deep = key_of(g, i);
-                ok = push(&q, deep > key ? deep : key, i);
-            }
+        /* of the side, too: it may have been the last but one cell around its own sides */
+        ok = push_sides(&q, g, cell, key) && push_sides(&q, g, side, key);
     }
     skeli_give(pool, q.head);
     svo_buffer_free(&q.entries);
@@ -283,7 +282,7 @@ static void spread(const cells *g, uint32_t *label, uint32_t *line, uint64_t beg
     }
 }
 
-/* The nearest point of the grid that `label` knows, in the 4^3 around p; SVO_NONE: none. */
+/* The nearest point of the grid in the 4^3 around p that has a label, or, where label is NULL, that is inside; UINT64_MAX: none. */
 static uint64_t near_point(const cells *g, const double p[3], const uint32_t *label)
 {
     int64_t first[3];

@@ -294,8 +294,8 @@ static svo_result emit(skeli_pool *pool, const skeli_soup *mesh, skeli_curve *c,
     return SVO_OK;
 }
 
-/* Where the surface is closed and the curve has not its handles and parts: one that has, from the solid's cells, with the ends that the contraction found. */
-static svo_result handles(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, const skel_options *o, bool inside, skeli_curve *c, skel_report *r, svo_error *err)
+/* Into the middle of the solid; and where the surface is closed and the curve has not its handles and parts, one that has, from the solid's cells, with the ends that the contraction found. */
+static svo_result place_inside(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, const skel_options *o, bool inside, skeli_curve *c, skel_report *r, svo_error *err)
 {
     const double omega = o->omega * SKEL_LATTICE;
     const skeli_genus *g = &surface->genus;
@@ -325,7 +325,7 @@ svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_s
     SVO_TRY(fold_leaves(pool, mesh, &c, err));
     bool inside = surface != NULL && skeli_mostly_inside(surface, &c);
     if (inside) SVO_TRY(skeli_close_false_loops(pool, mesh, surface, &c, err));
-    if (surface != NULL && options->place == SKEL_PLACE_INSIDE) SVO_TRY(handles(pool, mesh, surface, options, inside, &c, &out->report, err));
+    if (surface != NULL && options->place == SKEL_PLACE_INSIDE) SVO_TRY(place_inside(pool, mesh, surface, options, inside, &c, &out->report, err));
     skeli_give(pool, ring);
     SVO_TRY(emit(pool, mesh, &c, out, err));
     return SVO_OK;

@@ -25,10 +25,10 @@ typedef struct skeleton_options {
 typedef struct skeleton_input {
     svo_mesh mesh;           /* as it was given; empty of voxels */
     bool is_prepared;        /* the skeleton is that of `prepared` */
-    skel_prepared prepared; /* --repair, --tessellate */
+    skel_prepared prepared;  /* --repair, --tessellate */
     json_t *provenance;      /* array of inputs */
 } skeleton_input;
-/* The input of the command line to a skeleton. textures: whether they are wanted as well. `memory`: what is left of --memory, NULL without a limit. */
+/* The input of the command line to a skeleton, of library->allocator; free both, also after a failure. `memory`: the account of --memory, NULL without a limit. */
 svo_result skeleton_build(cli *c, const skeleton_options *o, const skel_options *library, const svo_limit_allocator *memory, skeleton_input *in, skel_skeleton *out, svo_error *err);
 void skeleton_input_free(skeleton_input *in);
 

@@ -11,8 +11,10 @@ case $engine in libfuzzer | afl) ;; *) set -- ;; esac
 build=$(cd "$1" && pwd) seconds=$2
 shift 2
 found=0
-[ -d "$build/seeds" ] || python3 "$here/make_seeds.py" "$build/tools" "$build/seeds" || exit 1
 [ $# -gt 0 ] || set -- $(cd "$here/targets" && ls ./*.c | sed 's|^\./||; s|\.c$||')
+for target in "$@"; do # a target that is newer than the folder's seeds has none
+    [ -d "$build/seeds/$target" ] || python3 "$here/make_seeds.py" "$build/tools" "$build/seeds" || exit 1
+done
 mkdir -p "$build/findings" "$build/logs" "$build/corpus"
 
 libfuzzer() { # target, dictionary or nothing

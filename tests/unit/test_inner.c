@@ -4,32 +4,12 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "polygon_moments.h"
 #include "svo_block.h"
 #include "svo_morton.h"
 #include "svoi_lanes.h"
 #include "svoi_shade.h"
 #include "test.h"
-
-typedef struct exact { double area, x, y, xx, xy, yy; } exact;
-
-static exact of_polygon(const svo_polygon *p, uint32_t i, uint32_t j)
-{
-    exact e = {0, 0, 0, 0, 0, 0};
-    for (uint32_t k = 2; k < p->count; k++) {
-        const double ax = p->at[k - 1][i] - p->at[0][i], ay = p->at[k - 1][j] - p->at[0][j], bx = p->at[k][i] - p->at[0][i], by = p->at[k][j] - p->at[0][j];
-        const double cross = ax * by - ay * bx;
-        e.area += cross;
-        e.x += cross * (ax + bx), e.y += cross * (ay + by);
-        e.xx += cross * (ax * ax + ax * bx + bx * bx), e.yy += cross * (ay * ay + ay * by + by * by);
-        e.xy += cross * (2 * ax * ay + ax * by + bx * ay + 2 * bx * by) / 2;
-    }
-    if (fabs(e.area) < 1e-9) return (exact){0, 0, 0, 0, 0, 0};
-    e.x /= 3 * e.area, e.y /= 3 * e.area;
-    e.xx = e.xx / (6 * e.area) - e.x * e.x, e.xy = e.xy / (6 * e.area) - e.x * e.y, e.yy = e.yy / (6 * e.area) - e.y * e.y;
-    e.x += p->at[0][i], e.y += p->at[0][j];
-    e.area = fabs(e.area) / 2;
-    return e;
-}
 
 /* A triangle with these corners, of a mesh without anything else, as svo_facet_make leaves it. */
 static bool make_facet(const double v[3][3], svo_facet *t)

@@ -7,13 +7,13 @@
  * samples a side, and delta (`--footprint`) 0, 1, 2 and 4. A line each: root mean square difference of linear light over the pixels that the reference or the picture covers, pixels of silhouette error
  * (sum of differences in coverage), largest difference, bytes of the file, and thread CPU seconds with one thread, best of three. */
 #define _POSIX_C_SOURCE 200809L
-#include <embree3/rtcore.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
+#include "embree_mesh.h"
 #include "fmt_file.h"
 #include "fmt_import.h"
 #include "fmt_svdag.h"
@@ -40,33 +40,6 @@ static void fail(const char *name, const svo_error *err)
 {
     fprintf(stderr, "%s: %s\n", name, err->message);
     exit(1);
-}
-
-static RTCScene embree_scene(RTCDevice device, const svo_mesh *m)
-{
-    RTCScene scene = rtcNewScene(device);
-    for (uint32_t i = 0; i < m->instance_count; i++) {
-        const svo_shape *shape = &m->shapes[m->instances[i].shape];
-        for (uint32_t p = 0; p < shape->part_count; p++) {
-            const svo_part *part = &shape->parts[p];
-            if (part->triangle_count == 0) continue;
-            RTCGeometry g = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-            float *v = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12, part->vertex_count);
-            uint32_t *t = rtcSetNewGeometryBuffer(g, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12, part->triangle_count);
-            if (v == NULL || t == NULL) fputs("Embree: out of memory\n", stderr), exit(1);
-            for (uint64_t k = 0; k < part->vertex_count; k++) {
-                const double *x = part->positions + 3 * k;
-                svo_vec3 at = svo_mat4_point(&m->instances[i].transform, svo_v3(x[0], x[1], x[2]));
-                v[3 * k] = (float)at.x, v[3 * k + 1] = (float)at.y, v[3 * k + 2] = (float)at.z;
-            }
-            memcpy(t, part->indices, 12 * part->triangle_count);
-            rtcCommitGeometry(g);
-            rtcAttachGeometry(scene, g);
-            rtcReleaseGeometry(g);
-        }
-    }
-    rtcCommitScene(scene);
-    return scene;
 }
 
 /* Light (of the grey that svo_render takes where there is no colour) and coverage, 2 a pixel. */
