@@ -1,5 +1,5 @@
-/* Packing in five steps: look at the assets, classify the instances, merge equal assets, split the instances into
- * pages by a k-d tree, write the arrays. Poses: svo_pack_pose.c. */
+/* Packing in five steps: look at the assets, classify the instances, merge equal assets (svo_pack_equal.c), split the
+ * instances into pages by a k-d tree (svo_pack_pages.c), write the arrays. Poses: svo_pack_pose.c. */
 #include "svo_pack.h"
 
 #include <math.h>
@@ -8,40 +8,13 @@
 
 #include "svo_algorithm1.h"
 #include "svo_skin.h"
-#include "svo_task.h"
 #include "svo_text.h"
-#include "svoi_pack.h"
+#include "svoi_packer.h"
 
 #define DEFAULT_PAGE_INSTANCES 1024u
 /* Single precision keeps 2^-24 of a coordinate. An asset whose coordinates exceed 2^18 of its voxels would lose more
  * than 1/64 voxel to it, so its coordinates are moved to the middle of its grid. */
 #define FAR_VOXELS 262144.0
-
-/* A used asset of the input. */
-typedef struct source {
-    svo_view view; /* shallow copy; voxel_to_world may be moved */
-    double shift[3]; /* mesh coordinates = moved coordinates + shift */
-    svo_extent extent;
-} source;
-
-struct svo_packed_scene {
-    svo_scene scene;
-    svo_pack_report report;
-    const svo_allocator *allocator;
-    uint32_t input_assets;
-    source *sources; /* input_assets; zero where not used */
-    const svo_view **views; /* input_assets slots; the first scene.asset_count are used */
-    const char **asset_names;
-    uint64_t capacity; /* slots of the instance arrays */
-    uint32_t *asset, *name;
-    float *transform;
-    uint64_t *id;
-    uint32_t page_capacity;
-    svo_scene_page *pages;
-    svo_buffer names;
-    svoi_pose_table poses;
-    uint32_t *pose; /* of each instance, or NULL */
-};
 
 const svo_scene *svo_packed_scene_get(const svo_packed_scene *p) { return &p->scene; }
 const svo_pack_report *svo_packed_scene_report(const svo_packed_scene *p) { return &p->report; }
@@ -66,24 +39,7 @@ void svo_packed_scene_free(svo_packed_scene *p)
     svo_free(a, p, 1, sizeof *p);
 }
 
-/* Scratch of one call. */
-typedef struct packer {
-    const svo_pack_input *in;
-    svo_packed_scene *out;
-    const svo_allocator *allocator;
-    svo_warnings *warnings;
-    uint32_t threads;
-    uint64_t page_instances;
-    uint64_t kept;
-    uint64_t *order;   /* kept places, input order, then grouped by page */
-    uint64_t *scratch; /* kept */
-    uint64_t *keys;    /* kept */
-    double *centre;    /* 3 for every place of the input */
-    uint32_t *pose;    /* of every place of the input: number in the table, or SVO_NO_POSE; NULL when the input has none */
-    bool keep_bones;
-} packer;
-
-static void packer_free(packer *p)
+static void packer_free(svoi_packer *p)
 {
     svo_free(p->allocator, p->order, p->in->place_count, 8);
     svo_free(p->allocator, p->scratch, p->kept, 8);
@@ -92,16 +48,28 @@ static void packer_free(packer *p)
     svo_free(p->allocator, p->pose, p->in->place_count, sizeof *p->pose);
 }
 
-static svo_result no_memory(svo_error *err, const char *what, uint64_t count)
+svo_result svoi_pack_no_memory(svo_error *err, const char *what, uint64_t count)
 {
     return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for %s of %llu instances", what, (unsigned long long)count);
 }
 
+svo_mat4 svoi_pack_transform(const svoi_packer *p, const svo_place *place)
+{
+    svo_mat4 m = svo_mat4_identity();
+    memcpy(m.m, place->transform, sizeof place->transform);
+    const double *c = p->out->sources[place->asset].shift;
+    if (c[0] != 0 || c[1] != 0 || c[2] != 0) {
+        svo_vec3 t = svo_mat4_point(&m, svo_v3(c[0], c[1], c[2]));
+        m.m[3] = t.x, m.m[7] = t.y, m.m[11] = t.z;
+    }
+    return m;
+}
+
 /* ---- 1. assets ---- */
 
-static svo_result look_at_asset(packer *p, uint32_t a, svo_error *err)
+static svo_result look_at_asset(svoi_packer *p, uint32_t a, svo_error *err)
 {
-    source *s = &p->out->sources[a];
+    svoi_pack_source *s = &p->out->sources[a];
     s->view = *p->in->assets[a];
     SVO_TRY(svo_extent_make(&s->view, false, p->allocator, &s->extent, err));
     if (s->view.empty) return SVO_OK;
@@ -125,19 +93,6 @@ static svo_result look_at_asset(packer *p, uint32_t a, svo_error *err)
     return SVO_OK;
 }
 
-/* The transform of a place, for the moved coordinates of its asset. */
-static svo_mat4 place_transform(const packer *p, const svo_place *place)
-{
-    svo_mat4 m = svo_mat4_identity();
-    memcpy(m.m, place->transform, sizeof place->transform);
-    const double *c = p->out->sources[place->asset].shift;
-    if (c[0] != 0 || c[1] != 0 || c[2] != 0) {
-        svo_vec3 t = svo_mat4_point(&m, svo_v3(c[0], c[1], c[2]));
-        m.m[3] = t.x, m.m[7] = t.y, m.m[11] = t.z;
-    }
-    return m;
-}
-
 /* ---- 2. instances ---- */
 
 /* The 3x3 part as it will be stored. */
@@ -150,7 +105,7 @@ static svo_mat4 rounded(const double t[12])
 }
 
 /* Fills order with the places that are kept; counts the others. */
-static svo_result classify(packer *p, svo_error *err)
+static svo_result classify(svoi_packer *p, svo_error *err)
 {
     svo_pack_report *r = &p->out->report;
     for (uint64_t i = 0; i < p->in->place_count; i++) {
@@ -193,259 +148,11 @@ static svo_result classify(packer *p, svo_error *err)
     return SVO_OK;
 }
 
-/* ---- 3. equal assets ---- */
-
-#define COMPARE(x, y) if ((x) != (y)) return (x) < (y) ? -1 : 1
-static int compare_bytes(const void *a, const void *b, uint64_t size) { return size == 0 || a == b ? 0 : memcmp(a, b, (size_t)size); }
-
-static int compare_channels(const svo_view *v, const svo_view_channel *a, const svo_view_channel *b)
-{
-    int c;
-    if ((c = memcmp(a->channel.name, b->channel.name, sizeof a->channel.name)) != 0) return c;
-    COMPARE(a->channel.kind, b->channel.kind);
-    COMPARE(a->channel.constant, b->channel.constant);
-    if ((c = memcmp(a->channel.value, b->channel.value, sizeof a->channel.value)) != 0) return c;
-    COMPARE(a->encoding, b->encoding);
-    uint64_t stride = svo_channel_stride(a->channel.kind);
-    if (a->encoding == SVO_ENCODING_RAW) return compare_bytes(a->raw, b->raw, v->attribute_count * stride);
-    if (a->encoding != SVO_ENCODING_BLOCKS && a->encoding != SVO_ENCODING_LONG_BLOCKS) return 0;
-    uint64_t entry = a->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY;
-    COMPARE(a->table_count, b->table_count);
-    COMPARE(a->superblock_count, b->superblock_count);
-    COMPARE(a->payload_size, b->payload_size);
-    if ((c = compare_bytes(a->table, b->table, a->table_count * stride)) != 0) return c;
-    if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * entry)) != 0) return c;
-    return compare_bytes(a->payload, b->payload, a->payload_size);
-}
-
-/* A total order of everything that a file stores, cheap fields first. */
-static int compare_views(const svo_view *a, const svo_view *b)
-{
-    int c;
-    COMPARE(a->depth, b->depth);
-    COMPARE(a->attribute_count, b->attribute_count);
-    COMPARE(a->channel_count, b->channel_count);
-    COMPARE(a->lod, b->lod);
-    COMPARE(a->surface, b->surface);
-    COMPARE(a->fill, b->fill);
-    if ((c = memcmp(a->nodes, b->nodes, sizeof a->nodes)) != 0) return c;
-    for (int i = 0; i < 16; i++) COMPARE(a->voxel_to_world[i], b->voxel_to_world[i]);
-    if ((c = svo_view_compare_geometry(a, b)) != 0) return c;
-    for (uint32_t i = 0; i < a->channel_count; i++)
-        if ((c = compare_channels(a, &a->channels[i], &b->channels[i])) != 0) return c;
-    return 0;
-}
-
-static int compare_sources(const void *a, const void *b)
-{
-    const source *x = *(const source *const *)a, *y = *(const source *const *)b;
-    int c = compare_views(&x->view, &y->view);
-    if (c != 0) return c;
-    return x < y ? -1 : x > y; /* the same array: input order */
-}
-
-static svo_result merge_assets(packer *p, svo_error *err)
-{
-    svo_packed_scene *o = p->out;
-    uint32_t count = p->in->asset_count, used = 0;
-    const source **sorted = svo_alloc(p->allocator, count, sizeof *sorted);
-    if (sorted == NULL && count != 0) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to compare %u assets", count);
-    for (uint32_t a = 0; a < count; a++)
-        if (o->report.assets[a].fate == SVO_PACK_KEPT) sorted[used++] = &o->sources[a];
-    if (used > 1) qsort(sorted, used, sizeof *sorted, compare_sources);
-    for (uint32_t i = 1, first = 0; i < used; i++) {
-        if (compare_views(&sorted[first]->view, &sorted[i]->view) != 0) first = i;
-        else {
-            svo_pack_asset *asset = &o->report.assets[sorted[i] - o->sources];
-            asset->fate = SVO_PACK_EQUAL;
-            asset->packed = (uint32_t)(sorted[first] - o->sources); /* for the moment: its number in the input */
-        }
-    }
-    svo_free(p->allocator, sorted, count, sizeof *sorted);
-    for (uint32_t a = 0; a < count; a++)
-        if (o->report.assets[a].fate == SVO_PACK_KEPT) {
-            o->report.assets[a].packed = o->scene.asset_count;
-            o->views[o->scene.asset_count] = &o->sources[a].view;
-            o->asset_names[o->scene.asset_count++] = p->in->asset_names[a];
-        }
-    for (uint32_t a = 0; a < count; a++)
-        if (o->report.assets[a].fate == SVO_PACK_EQUAL)
-            o->report.assets[a].packed = o->report.assets[o->report.assets[a].packed].packed;
-    return SVO_OK;
-}
-
-/* ---- 4. pages ---- */
-
-/* Bounds of a place (a number in the input); false when they are not finite. */
-static bool place_box(const packer *p, const svo_mat4 *transform, uint64_t number, double low[3], double high[3])
-{
-    const svo_place *place = &p->in->places[number];
-    const source *s = &p->out->sources[place->asset];
-    svo_poses all = svoi_pose_table_get(&p->out->poses);
-    const svo_pose *pose = p->pose != NULL && p->pose[number] != SVO_NO_POSE ? &all.pose[p->pose[number]] : NULL;
-    svo_mat4 grid;
-    memcpy(grid.m, s->view.voxel_to_world, sizeof grid.m);
-    return svo_deform_bounds(&all, pose, &grid, transform, &s->extent, low, high);
-}
-
-static svo_result find_centres(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    packer *p = user;
-    for (uint64_t i = begin; i < end; i++) {
-        const svo_place *place = &p->in->places[p->order[i]];
-        svo_mat4 m = place_transform(p, place);
-        double low[3], high[3], *c = p->centre + 3 * p->order[i];
-        bool finite = place_box(p, &m, p->order[i], low, high);
-        for (int k = 0; k < 3; k++) {
-            c[k] = low[k] / 2 + high[k] / 2 + 0.0; /* + 0.0: no negative zero */
-            if (finite) continue;
-            svo_fail(err, SVO_INVALID_DATA, "instance %llu: its bounds are not finite", (unsigned long long)p->order[i]);
-            if (err != NULL) err->index = p->order[i];
-            return SVO_INVALID_DATA;
-        }
-    }
-    return SVO_OK;
-}
-
-/* Unsigned order of the result is the numeric order of the doubles. */
-static inline uint64_t sortable(double v)
-{
-    uint64_t bits;
-    memcpy(&bits, &v, 8);
-    return bits >> 63 ? ~bits : bits | (uint64_t)1 << 63;
-}
-
-/* The key of rank *rank (from 0) of n keys, which are overwritten; *rank becomes its rank among the equal ones. Radix
- * selection from the top digit: linear time whatever the values, which a pivot does not promise. */
-static uint64_t select_key(uint64_t *keys, uint64_t n, uint64_t *rank)
-{
-    for (int shift = 53; n > 1; shift = shift > 11 ? shift - 11 : 0) {
-        uint64_t histogram[2048] = {0};
-        for (uint64_t i = 0; i < n; i++) histogram[keys[i] >> shift & 2047]++;
-        uint64_t digit = 0;
-        while (*rank >= histogram[digit]) *rank -= histogram[digit++];
-        uint64_t left = 0;
-        for (uint64_t i = 0; i < n; i++)
-            if ((keys[i] >> shift & 2047) == digit) keys[left++] = keys[i];
-        n = left;
-        if (shift == 0) break;
-    }
-    return keys[0];
-}
-
-/* Put the `left` places with the smallest centres along the longest axis of the range first; both halves keep the
- * order of the input, and of equal centres the earlier ones go left. */
-static void split(packer *p, uint64_t begin, uint64_t end, uint64_t left)
-{
-    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (uint64_t i = begin; i < end; i++)
-        for (int k = 0; k < 3; k++) {
-            double c = p->centre[3 * p->order[i] + (uint64_t)k];
-            low[k] = fmin(low[k], c), high[k] = fmax(high[k], c);
-        }
-    uint64_t axis = 0;
-    for (uint64_t k = 1; k < 3; k++)
-        if (high[k] / 2 - low[k] / 2 > high[axis] / 2 - low[axis] / 2) axis = k;
-    for (uint64_t i = begin; i < end; i++) p->keys[i] = sortable(p->centre[3 * p->order[i] + axis]);
-    uint64_t equal = left;
-    uint64_t pivot = select_key(p->keys + begin, end - begin, &equal);
-    uint64_t l = begin, r = begin + left;
-    for (uint64_t i = begin; i < end; i++) {
-        uint64_t key = sortable(p->centre[3 * p->order[i] + axis]);
-        bool goes_left = key < pivot || (key == pivot && equal > 0);
-        if (key == pivot && goes_left) equal--;
-        p->scratch[goes_left ? l++ : r++] = p->order[i];
-    }
-    memcpy(p->order + begin, p->scratch + begin, (size_t)(end - begin) * 8);
-}
-
-static svo_result make_pages(packer *p, svo_error *err)
-{
-    svo_packed_scene *o = p->out;
-    uint64_t count = (p->kept + p->page_instances - 1) / p->page_instances;
-    if (count > UINT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu pages are more than a scene can have", (unsigned long long)count);
-    o->pages = svo_calloc(p->allocator, count, sizeof *o->pages);
-    o->page_capacity = (uint32_t)count;
-    if (o->pages == NULL) return no_memory(err, "the pages", p->kept);
-    struct { uint64_t begin, end; } stack[66];
-    int top = 0;
-    stack[0].begin = 0, stack[0].end = p->kept;
-    while (top >= 0) {
-        uint64_t begin = stack[top].begin, end = stack[top].end;
-        if (end - begin <= p->page_instances) {
-            o->pages[o->scene.page_count].first = begin;
-            o->pages[o->scene.page_count++].count = end - begin;
-            top--;
-            continue;
-        }
-        /* Halves of whole pages, so that all but the last page are full. */
-        uint64_t pages = (end - begin + p->page_instances - 1) / p->page_instances;
-        uint64_t middle = begin + pages / 2 * p->page_instances;
-        split(p, begin, end, middle - begin);
-        stack[top].begin = middle;
-        stack[top + 1].begin = begin, stack[top + 1].end = middle;
-        top++;
-    }
-    SVO_ASSERT(o->scene.page_count == count);
-    return SVO_OK;
-}
-
-/* ---- 5. arrays ---- */
-
-/* Zero where all translations of the page fit single precision as they are, else the middle of them. */
-static void choose_origin(packer *p, svo_scene_page *page)
-{
-    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-    bool fits = true;
-    for (uint64_t i = page->first; i < page->first + page->count; i++) {
-        svo_mat4 m = place_transform(p, &p->in->places[p->order[i]]);
-        for (int k = 0; k < 3; k++) {
-            double t = m.m[4 * k + 3];
-            low[k] = fmin(low[k], t), high[k] = fmax(high[k], t);
-            fits = fits && (double)(float)t == t;
-        }
-    }
-    for (int k = 0; k < 3; k++) page->origin[k] = fits ? 0 : low[k] / 2 + high[k] / 2;
-}
-
-static svo_result fill_pages(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    packer *p = user;
-    svo_packed_scene *o = p->out;
-    for (uint64_t g = begin; g < end; g++) {
-        svo_scene_page *page = &o->pages[g];
-        choose_origin(p, page);
-        for (int k = 0; k < 3; k++) page->low[k] = INFINITY, page->high[k] = -INFINITY;
-        for (uint64_t i = page->first; i < page->first + page->count; i++) {
-            const svo_place *place = &p->in->places[p->order[i]];
-            svo_mat4 m = place_transform(p, place), inverse;
-            float *t = o->transform + 12 * i;
-            for (int k = 0; k < 12; k++) t[k] = (float)(k % 4 == 3 ? m.m[k] - page->origin[k / 4] : m.m[k]);
-            o->asset[i] = o->report.assets[place->asset].packed;
-            o->id[i] = place->id;
-            m = svo_scene_instance_transform(&o->scene, (uint32_t)g, i);
-            double low[3], high[3];
-            bool good = place_box(p, &m, p->order[i], low, high) && svo_mat4_affine_inverse(&m, &inverse);
-            if (o->pose != NULL) o->pose[i] = p->pose[p->order[i]];
-            for (int k = 0; k < 3; k++) {
-                page->low[k] = fmin(page->low[k], low[k]), page->high[k] = fmax(page->high[k], high[k]);
-            }
-            if (good) continue;
-            svo_fail(err, SVO_INVALID_DATA, "instance %llu: its place cannot be stored in single precision", (unsigned long long)p->order[i]);
-            if (err != NULL) err->index = p->order[i];
-            return SVO_INVALID_DATA;
-        }
-    }
-    return SVO_OK;
-}
-
 /* Names that are used, each once, in the order of the packed instances. */
-static svo_result gather_names(packer *p, svo_error *err)
+static svo_result gather_names(svoi_packer *p, svo_error *err)
 {
     svo_packed_scene *o = p->out;
-    if (svo_buffer_append(&o->names, "", 1) == NULL) return no_memory(err, "the names", p->kept);
+    if (svo_buffer_append(&o->names, "", 1) == NULL) return svoi_pack_no_memory(err, "the names", p->kept);
     uint64_t named = 0;
     for (uint64_t i = 0; i < p->kept; i++) {
         uint32_t name = p->in->places[p->order[i]].name;
@@ -457,7 +164,7 @@ static svo_result gather_names(packer *p, svo_error *err)
     uint64_t slots = 16;
     while (slots < 2 * named) slots *= 2;
     uint32_t *table = svo_calloc(p->allocator, slots, sizeof *table); /* open addressing; 0 = free */
-    svo_result result = o->name == NULL || table == NULL ? no_memory(err, "the names", p->kept) : SVO_OK;
+    svo_result result = o->name == NULL || table == NULL ? svoi_pack_no_memory(err, "the names", p->kept) : SVO_OK;
     for (uint64_t i = 0; i < p->kept && result == SVO_OK; i++) {
         uint32_t offset = p->in->places[p->order[i]].name;
         if (offset == 0 || p->in->names[offset] == 0) continue;
@@ -468,7 +175,7 @@ static svo_result gather_names(packer *p, svo_error *err)
             if (o->names.size + size + 1 > UINT32_MAX) result = svo_fail(err, SVO_LIMIT, "names of instances take more than 4 GiB");
             else {
                 table[slot] = (uint32_t)o->names.size;
-                if (svo_buffer_append(&o->names, text, (size_t)size + 1) == NULL) result = no_memory(err, "the names", p->kept);
+                if (svo_buffer_append(&o->names, text, (size_t)size + 1) == NULL) result = svoi_pack_no_memory(err, "the names", p->kept);
             }
         }
         o->name[i] = table[slot];
@@ -477,19 +184,19 @@ static svo_result gather_names(packer *p, svo_error *err)
     return result;
 }
 
-static void measure_translations(packer *p)
+static void measure_translations(svoi_packer *p)
 {
     svo_packed_scene *o = p->out;
     for (uint32_t g = 0; g < o->scene.page_count; g++)
         for (uint64_t i = o->pages[g].first; i < o->pages[g].first + o->pages[g].count; i++) {
-            svo_mat4 m = place_transform(p, &p->in->places[p->order[i]]), s = svo_scene_instance_transform(&o->scene, g, i);
+            svo_mat4 m = svoi_pack_transform(p, &p->in->places[p->order[i]]), s = svo_scene_instance_transform(&o->scene, g, i);
             double e = svo_length(svo_v3(m.m[3] - s.m[3], m.m[7] - s.m[7], m.m[11] - s.m[11]));
             o->report.translation_error = fmax(o->report.translation_error, e);
         }
 }
 
 /* The poses of the kept places, each once, for the coordinates that their assets have now. */
-static svo_result take_poses(packer *p, svo_error *err)
+static svo_result take_poses(svoi_packer *p, svo_error *err)
 {
     svo_packed_scene *o = p->out;
     const svo_pack_input *in = p->in;
@@ -497,11 +204,11 @@ static svo_result take_poses(packer *p, svo_error *err)
     for (uint64_t i = 0; i < p->kept && !any; i++) any = in->places[p->order[i]].pose != 0;
     if (!any) return SVO_OK;
     p->pose = svo_alloc(p->allocator, in->place_count, sizeof *p->pose);
-    if (p->pose == NULL) return no_memory(err, "the poses", p->kept);
+    if (p->pose == NULL) return svoi_pack_no_memory(err, "the poses", p->kept);
     for (uint64_t i = 0; i < in->place_count; i++) p->pose[i] = SVO_NO_POSE;
     for (uint64_t i = 0; i < p->kept; i++) {
         const svo_place *place = &in->places[p->order[i]];
-        const source *s = &o->sources[place->asset];
+        const svoi_pack_source *s = &o->sources[place->asset];
         if (place->pose == 0) continue;
         SVO_ASSERT(place->pose - 1 < in->poses.count);
         svo_mat4 grid;
@@ -535,7 +242,7 @@ static uint64_t channel_bytes(const svo_view *v, const svo_view_channel *k)
 }
 
 /* Channels of bones (svo_skin.h) that no pose asks for. Where nothing else varies they stay: without them the octree's numbering would have to go as well. */
-static void drop_bones(packer *p)
+static void drop_bones(svoi_packer *p)
 {
     svo_pack_report *r = &p->out->report;
     for (uint32_t a = 0; a < p->in->asset_count; a++) {
@@ -557,7 +264,7 @@ static void drop_bones(packer *p)
     }
 }
 
-static svo_result run(packer *p, svo_error *err)
+static svo_result run(svoi_packer *p, svo_error *err)
 {
     svo_packed_scene *o = p->out;
     const svo_pack_input *in = p->in;
@@ -574,27 +281,22 @@ static svo_result run(packer *p, svo_error *err)
     }
     if (in->place_count != 0) {
         p->order = svo_alloc(p->allocator, in->place_count, 8);
-        if (p->order == NULL) return no_memory(err, "the order", in->place_count);
+        if (p->order == NULL) return svoi_pack_no_memory(err, "the order", in->place_count);
     }
     SVO_TRY(classify(p, err));
     for (uint32_t a = 0; a < assets; a++)
         if (o->report.assets[a].fate == SVO_PACK_KEPT) SVO_TRY(look_at_asset(p, a, err));
     SVO_TRY(take_poses(p, err));
     drop_bones(p);
-    SVO_TRY(merge_assets(p, err));
+    SVO_TRY(svoi_pack_merge_assets(p, err));
     if (p->kept != 0) {
-        p->scratch = svo_alloc(p->allocator, p->kept, 8);
-        p->keys = svo_alloc(p->allocator, p->kept, 8);
-        p->centre = svo_alloc(p->allocator, in->place_count, 24);
-        if (p->scratch == NULL || p->keys == NULL || p->centre == NULL) return no_memory(err, "the grouping", p->kept);
-        SVO_TRY(svo_parallel_for(p->threads, p->kept, 4096, find_centres, p, err));
-        SVO_TRY(make_pages(p, err));
+        SVO_TRY(svoi_pack_make_pages(p, err));
         o->capacity = p->kept;
         o->asset = svo_alloc(p->allocator, p->kept, sizeof *o->asset);
         o->transform = svo_alloc(p->allocator, p->kept, 12 * sizeof *o->transform);
         o->id = svo_alloc(p->allocator, p->kept, sizeof *o->id);
         if (o->report.posed != 0) o->pose = svo_alloc(p->allocator, p->kept, sizeof *o->pose);
-        if (o->asset == NULL || o->transform == NULL || o->id == NULL || (o->pose == NULL && o->report.posed != 0)) return no_memory(err, "the arrays", p->kept);
+        if (o->asset == NULL || o->transform == NULL || o->id == NULL || (o->pose == NULL && o->report.posed != 0)) return svoi_pack_no_memory(err, "the arrays", p->kept);
     }
     svo_scene *s = &o->scene;
     s->instance_count = p->kept;
@@ -606,7 +308,7 @@ static svo_result run(packer *p, svo_error *err)
     s->pages = o->pages;
     s->instance_pose = o->pose;
     s->poses = svoi_pose_table_get(&o->poses);
-    SVO_TRY(svo_parallel_for(p->threads, s->page_count, 4, fill_pages, p, err));
+    SVO_TRY(svoi_pack_fill_pages(p, err));
     SVO_TRY(gather_names(p, err));
     s->instance_name = o->name;
     s->names = (const char *)o->names.data;
@@ -624,7 +326,7 @@ svo_result svo_pack(const svo_pack_input *input, const svo_pack_options *options
     static const svo_pack_options defaults = {0};
     if (options == NULL) options = &defaults;
     const svo_allocator *a = options->allocator;
-    packer p = {.in = input, .allocator = a, .warnings = options->warnings, .threads = options->threads,
+    svoi_packer p = {.in = input, .allocator = a, .warnings = options->warnings, .threads = options->threads,
                 .page_instances = options->page_instances != 0 ? options->page_instances : DEFAULT_PAGE_INSTANCES};
     p.out = svo_calloc(a, 1, sizeof *p.out);
     if (p.out == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for a scene");
