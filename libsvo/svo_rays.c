@@ -67,12 +67,6 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, int32_t stat
     return base + (before >> 1) - block;
 }
 
-static void trace_one(const svo_rays *r, svoi_ray_cache *cache, const svo_ray *rays, uint32_t i, svo_hit *hits, bool *blocked)
-{
-    if (hits != NULL) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
-    else blocked[i] = svoi_ray_blocked(r->view, cache, &rays[i]);
-}
-
 /* Rays that no packet takes begin at the root. */
 static void start_alone(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
 {
@@ -102,7 +96,7 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
     b->starts = 0;
     for (uint32_t i = 0; i < b->count;) {
         uint32_t n = b->count - i < SVOI_RAYS_PACKET ? b->count - i : SVOI_RAYS_PACKET;
-        bool together = n >= 8 && svoi_rays_packet_avx512(r, lod, b, i, n);
+        bool together = n >= 8 && svoi_rays_packet_avx512(r, lod, false, b, i, n);
         if (together && !any) any = true, start_alone(r, lod, b, 0, alone);
         else if (!together && any) start_alone(r, lod, b, i, n);
         else if (!together) alone += n;
@@ -111,30 +105,62 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
     return any;
 }
 
-/* At most SVOI_RAYS_BATCH rays; hits or blocked is NULL. */
-static void trace_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits, bool *blocked, uint32_t *alone)
+void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b)
+{
+    svoi_rays_trace_avx512(r, lod, true, b);
+    for (uint32_t j = 0; j < b->found; j++) {
+        const uint32_t i = (uint32_t)b->found_ray[j];
+        const int32_t at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
+        svoi_ray_place place;
+        svo_hit unused;
+        const bool sure = b->state[j] != SVOI_RAY_DOUBT && (!lod || found(r, &b->rays[i], true, b->state[j], at, &place, &unused));
+        (sure ? b->blocked : b->unsure)[i / 8] |= (uint8_t)(1u << i % 8);
+    }
+    b->starts = b->found = 0;
+}
+
+/* At most SVOI_RAYS_BATCH rays. */
+static void blocked_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, bool *blocked)
+{
+    const bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
+    b->rays = rays;
+    b->found = b->starts = 0;
+    b->numbers = false;
+    memset(b->blocked, 0, sizeof b->blocked);
+    for (uint32_t i = 0, n; i < b->count; i += n) {
+        n = b->count - i < SVOI_RAYS_PACKET ? b->count - i : SVOI_RAYS_PACKET;
+        if (b->starts + b->found + SVOI_RAYS_PACKET > SVOI_RAYS_BATCH) svoi_rays_settle(r, lod, b);
+        if (n < 8 || !svoi_rays_packet_avx512(r, lod, true, b, i, n)) start_alone(r, lod, b, i, n);
+    }
+    svoi_rays_settle(r, lod, b);
+    for (uint32_t i = 0; i < count; i++) {
+        blocked[i] = b->blocked[i / 8] >> i % 8 & 1;
+        if (!blocked[i] && (b->unsure[i / 8] >> i % 8 & 1)) blocked[i] = svoi_ray_blocked(r->view, cache, &rays[i]);
+    }
+}
+
+/* At most SVOI_RAYS_BATCH rays. */
+static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits)
 {
     bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
     b->found = 0;
-    b->numbers = hits != NULL && r->before != NULL;
-    bool start = *alone == 0 && trace_packets(r, lod, b);
-    /* Shadow rays that begin near a surface part at once, and packets are only in the way; those of neighbouring batches are alike. */
-    if (*alone != 0) --*alone;
-    else if (hits == NULL && start && 8 * b->starts > 7 * b->count) *alone = 7;
+    b->numbers = r->before != NULL;
+    bool start = trace_packets(r, lod, b);
     svoi_rays_trace_avx512(r, lod, start, b);
-    if (hits != NULL) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
-    else memset(blocked, 0, count * sizeof *blocked);
+    memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
     for (uint32_t i = 0; i < (count + 7) / 8; i++)
-        for (uint32_t rest = b->unsure[i]; rest != 0; rest &= rest - 1) trace_one(r, cache, rays, 8 * i + (uint32_t)__builtin_ctz(rest), hits, blocked);
+        for (uint32_t rest = b->unsure[i]; rest != 0; rest &= rest - 1) {
+            uint32_t ray = 8 * i + (uint32_t)__builtin_ctz(rest);
+            svoi_raycast(r->view, cache, &rays[ray], 1, &hits[ray]);
+        }
     for (uint32_t j = 0; j < b->found; j++) {
         uint32_t i = (uint32_t)b->found_ray[j];
         int32_t state = b->state[j], at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
         svoi_ray_place place;
-        svo_hit unused, *hit = hits != NULL ? &hits[i] : &unused;
-        if (state == SVOI_RAY_DOUBT || ((hits != NULL || lod) && !found(r, &rays[i], lod, state, at, &place, hit))) trace_one(r, cache, rays, i, hits, blocked);
+        svo_hit *hit = &hits[i];
+        if (state == SVOI_RAY_DOUBT || !found(r, &rays[i], lod, state, at, &place, hit)) svoi_raycast(r->view, cache, &rays[i], 1, hit);
         else if (b->numbers) hit->attribute = number_of(r, cache, state, at, (uint32_t)b->node_found[j], (uint32_t)b->base[j], &place);
-        else if (hits != NULL) hit->attribute = svoi_ray_attribute(r->view, cache, &place);
-        else blocked[i] = true;
+        else hit->attribute = svoi_ray_attribute(r->view, cache, &place);
     }
 }
 
@@ -143,13 +169,14 @@ static void trace_all(const svo_rays *r, const svo_ray *rays, uint64_t count, sv
     svoi_ray_cache cache;
     svoi_ray_batch batch;
     svoi_ray_cache_init(&cache, count);
-    uint32_t alone = 0; /* batches that are traced without packets */
+    memset(batch.stack, 0, sizeof batch.stack); /* lanes without a ray read nodes too: what is there must be one */
     bool small = r->view->depth < 2; /* its virtual levels are svo_raycast's business */
     for (uint64_t i = 0; i < count; i += SVOI_RAYS_BATCH) {
         uint32_t n = count - i < SVOI_RAYS_BATCH ? (uint32_t)(count - i) : SVOI_RAYS_BATCH;
         svo_hit *h = hits != NULL ? hits + i : NULL;
         bool *b = blocked != NULL ? blocked + i : NULL;
-        if (r->kernel == SVO_KERNEL_AVX512 && !small) trace_batch(r, &cache, &batch, rays + i, n, h, b, &alone);
+        if (r->kernel == SVO_KERNEL_AVX512 && !small && h != NULL) cast_batch(r, &cache, &batch, rays + i, n, h);
+        else if (r->kernel == SVO_KERNEL_AVX512 && !small) blocked_batch(r, &cache, &batch, rays + i, n, b);
         else if (h != NULL) svoi_raycast(r->view, &cache, rays + i, n, h);
         else
             for (uint32_t k = 0; k < n; k++) b[k] = svoi_ray_blocked(r->view, &cache, &rays[i + k]);

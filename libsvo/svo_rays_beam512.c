@@ -6,11 +6,11 @@
 
 #include "svoi_rays_beam.h"
 
-bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count) { return trace_packet(r, lod, b, first, count); }
+bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count) { return trace_packet(r, lod, any, b, first, count); }
 #else
-bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
+bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count)
 {
-    (void)r, (void)lod, (void)b, (void)first, (void)count;
+    (void)r, (void)lod, (void)any, (void)b, (void)first, (void)count;
     return false;
 }
 #endif

@@ -59,7 +59,9 @@ typedef struct svoi_ray_batch {
     svoi_ray_list start;
     uint32_t starts;
     _Alignas(64) int32_t s[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], node[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], stack[SVOI_RAYS_LEVELS][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
-    uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` */
+    uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` and svoi_rays_settle */
+    uint8_t blocked[SVOI_RAYS_BATCH / 8]; /* by number of ray, where only that is asked */
+    const svo_ray *rays; /* of the batch, by number */
     /* What was found, in no order: number of ray; state: SVOI_RAY_DOUBT, or 1 + log2 of the edge of the node hit, in
      * fixed-point units; where the ray was then. */
     bool numbers; /* `base` and `node_found` are wanted */
@@ -81,7 +83,10 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
 /* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 /* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
- * `start`. False, and nothing done, where they do not go the same way. */
-bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count);
+ * `start`. With `any`, rays stay together, and what is appended are the parts of them that may be blocked: one ray may be there several times, and
+ * svoi_rays_settle is called when `start` is full. False, and nothing done, where they do not go the same way. */
+bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
+/* Trace `start` for rays of which is asked only whether they are blocked, mark them in `blocked` or `unsure`, and empty it and what was found. */
+void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b);
 
 #endif

@@ -257,7 +257,7 @@ static bool set_out(packet *p, const frame *stack, const int32_t corner[3], uint
             int32_t side[3];
             for (int k = 0; k < 3; k++) side[k] = corner[k] + (p->y.negative >> k & 1 ? ((int32_t)1 << s) - 1 : 0);
             uint32_t to = b->starts;
-            start_rays(b, i, met, in, plane, side, (1 << p->r->fraction) - 1);
+            start_rays(b, i, met, in, wide_load(&b->in.t_max[i]), plane, side, (1 << p->r->fraction) - 1);
             for (uint32_t k = 0; k < SVOI_RAYS_LEVELS; k++) {
                 if (p->r->fraction + 2 * k < s || k >= p->r->levels) continue;
                 uint32_t above = p->r->levels - 1 - k; /* frame of that level */
@@ -270,6 +270,78 @@ static bool set_out(packet *p, const frame *stack, const int32_t corner[3], uint
     }
     if (after != 0 && after != before) join(p);
     return after == 0;
+}
+
+/* Box of what is in the node at `unit`, or the brick, at `corner` with edge 2^s. */
+INLINE void content_box(const svo_rays *r, uint32_t unit, const int32_t corner[3], uint32_t s, int32_t low[3], int32_t high[3])
+{
+    if (s > r->fraction + 2) {
+        const uint32_t box = (uint32_t)(r->units[unit + 1] >> 32);
+        for (int k = 0; k < 3; k++) {
+            low[k] = corner[k] + (int32_t)((box >> 4 * k & 15) << (s - 4));
+            high[k] = corner[k] + (int32_t)(((box >> (4 * k + 12) & 15) + 1) << (s - 4));
+        }
+        return;
+    }
+    const uint64_t brick = r->units[unit];
+    uint64_t rows = brick | brick >> 32, x = rows | rows >> 16;
+    uint32_t z = (uint32_t)((brick & 0xffff) != 0) | (uint32_t)((brick & 0xffff0000) != 0) << 1 | (uint32_t)((brick >> 32 & 0xffff) != 0) << 2 | (uint32_t)(brick >> 48 != 0) << 3;
+    uint32_t y = (uint32_t)((x & 0xf) != 0) | (uint32_t)((x & 0xf0) != 0) << 1 | (uint32_t)((x & 0xf00) != 0) << 2 | (uint32_t)((x & 0xf000) != 0) << 3;
+    x |= x >> 8;
+    const uint32_t layers[3] = {(uint32_t)(x | x >> 4) & 15, y, z};
+    for (int k = 0; k < 3; k++) {
+        low[k] = corner[k] + (int32_t)((uint32_t)__builtin_ctz(layers[k]) << r->fraction);
+        high[k] = corner[k] + (int32_t)((uint32_t)(32 - __builtin_clz(layers[k])) << r->fraction);
+    }
+}
+
+/* For rays of which is asked only whether they hit: those that meet what is in the node at `corner` with edge 2^s are to be traced from there to where
+ * they leave it, and stay in the packet. What has no voxels for a ray costs it nothing this way: neither the way down to where it begins nor the empty
+ * space beyond. */
+static void look_into(packet *p, bool lod, const int32_t corner[3], uint32_t s, uint32_t unit)
+{
+    svoi_ray_batch *b = p->b;
+    int32_t low[3], high[3];
+    if (lod) /* nodes that are small enough count as full */
+        for (int k = 0; k < 3; k++) low[k] = corner[k], high[k] = corner[k] + (int32_t)((uint32_t)1 << s);
+    else content_box(p->r, unit, corner, s, low, high);
+    for (uint32_t g = 0; g < p->groups; g++) {
+        if (p->active[g] == 0) continue;
+        uint32_t i = p->first + 16 * g;
+        wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY), plane[3], t_max = wide_load(&b->in.t_max[i]);
+        int32_t side[3];
+        for (int k = 0; k < 3; k++) {
+            const bool back = p->y.negative >> k & 1;
+            wide o = wide_load(&b->in.o[k][i]), inv = wide_load(&b->in.inv[k][i]);
+            plane[k] = wide_mul(wide_sub(wide_set(back ? high[k] : low[k]), o), inv);
+            side[k] = back ? high[k] - 1 : low[k];
+            in = wide_max(plane[k], in);
+            out = wide_min(wide_mul(wide_sub(wide_set(back ? low[k] : high[k]), o), inv), out);
+        }
+        uint32_t met = wide_less(in, out) & wide_at_most(in, t_max) & p->active[g];
+        if (met == 0) continue;
+        /* hits in the box are before `out`: the ray ends just before it */
+        uint32_t to = b->starts;
+        start_rays(b, i, met, in, wide_min(t_max, wide_before(out)), plane, side, (1 << p->r->fraction) - 1);
+        for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->s[j], (int32_t)s - 2), wide_fill(&b->node[j], (int32_t)unit);
+    }
+}
+
+/* Trace what has been put aside; rays that are blocked, or must be looked at by svo_raycast, leave the packet. True if none is left. */
+static bool settle(packet *p, bool lod)
+{
+    svoi_ray_batch *b = p->b;
+    uint32_t left = 0;
+    svoi_rays_settle(p->r, lod, b);
+    for (uint32_t g = 0; g < p->groups; g++) {
+        for (uint32_t rest = p->active[g]; rest != 0; rest &= rest - 1) {
+            uint32_t lane = (uint32_t)__builtin_ctz(rest), ray = (uint32_t)b->in.ray[p->first + 16 * g + lane];
+            if ((b->unsure[ray / 8] | b->blocked[ray / 8]) >> ray % 8 & 1) p->active[g] &= ~(1u << lane);
+        }
+        left |= p->active[g];
+    }
+    if (left != 0) join(p);
+    return left == 0;
 }
 
 /* A narrow packet's rays against the voxels of the brick at `unit`, `above` being the number of its parent's attribute, 16 with a beam of their own at a time. True if no ray is left. */
@@ -308,9 +380,10 @@ static bool visit_brick(packet *p, uint32_t unit, uint32_t above, const int32_t 
     return after == 0;
 }
 
-INLINE void traverse(packet *p, bool lod)
+INLINE void traverse(packet *p, bool lod, bool any)
 {
     const svo_rays *r = p->r;
+    svoi_ray_batch *b = p->b;
     frame stack[SVOI_RAYS_LEVELS], *f = stack;
     uint32_t s = SVOI_RAYS_BITS - 2;
     enter_node(p, f, 0, (const int32_t[3]){0, 0, 0}, s);
@@ -320,8 +393,9 @@ INLINE void traverse(packet *p, bool lod)
             f--, s += 2;
             continue;
         }
-        uint32_t cell = (uint32_t)__builtin_ctzll(f->cells) ^ p->y.flip;
-        f->cells &= f->cells - 1;
+        /* Whether something is in the way does not depend on the order. From the far end, rays to a light from inside of something meet its hull at once. */
+        uint32_t next = any ? 63 - (uint32_t)__builtin_clzll(f->cells) : (uint32_t)__builtin_ctzll(f->cells), cell = next ^ p->y.flip;
+        f->cells ^= (uint64_t)1 << next;
         int32_t at[3];
         corner_of(f->corner, cell, s, at);
         uint32_t rank = (uint32_t)__builtin_popcountll(f->mask & (((uint64_t)1 << cell) - 1));
@@ -336,19 +410,23 @@ INLINE void traverse(packet *p, bool lod)
         } else if (s == r->fraction + 2 && p->y.width + p->y.width_slope * far <= NARROW * (double)((uint32_t)1 << r->fraction) &&
                    !(lod && (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= (double)((uint32_t)2 << r->fraction))) {
             if (visit_brick(p, child, f->base, at)) return;
-        } else if (set_out(p, stack, at, s, child)) return;
+        } else if (any) look_into(p, lod, at, s, child);
+        else if (set_out(p, stack, at, s, child)) return;
+        if (any && b->starts + b->found + SVOI_RAYS_PACKET > SVOI_RAYS_BATCH && settle(p, lod)) return;
     }
 }
 
 /* Trace rays first .. first + count of the batch, at most SVOI_RAYS_PACKET; false, and nothing done, where they do not go the same way. */
-static bool trace_packet(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
+static bool trace_packet(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count)
 {
     packet p;
     if (r->levels < 2 || !make_packet(&p, r, lod, b, first, count)) return false;
     /* a ray may stop at a cell of the root: nothing to share */
     if (lod && (p.y.limit + p.y.limit_slope * fabs(p.y.to - p.y.from)) * 1.000001 + 1 >= (double)((uint32_t)1 << (SVOI_RAYS_BITS - 2))) return false;
-    if (lod) traverse(&p, true);
-    else traverse(&p, false);
+    if (any && lod) traverse(&p, true, true);
+    else if (any) traverse(&p, false, true);
+    else if (lod) traverse(&p, true, false);
+    else traverse(&p, false, false);
     return true;
 }
 

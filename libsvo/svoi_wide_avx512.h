@@ -20,6 +20,14 @@ INLINE wide wide_abs(wide x) { return (wide){_mm512_abs_pd(x.a), _mm512_abs_pd(x
 INLINE uint32_t wide_less(wide x, wide y) { return _mm512_cmp_pd_mask(x.a, y.a, _CMP_LT_OQ) | (uint32_t)_mm512_cmp_pd_mask(x.b, y.b, _CMP_LT_OQ) << 8; }
 INLINE uint32_t wide_at_most(wide x, wide y) { return _mm512_cmp_pd_mask(x.a, y.a, _CMP_LE_OQ) | (uint32_t)_mm512_cmp_pd_mask(x.b, y.b, _CMP_LE_OQ) << 8; }
 INLINE uint32_t wide_signs(wide x) { return _mm512_movepi64_mask(_mm512_castpd_si512(x.a)) | (uint32_t)_mm512_movepi64_mask(_mm512_castpd_si512(x.b)) << 8; }
+/* The largest double below x; x is not -infinity. */
+INLINE __m512d before8(__m512d x)
+{
+    const __m512i one = _mm512_set1_epi64(1), bits = _mm512_castpd_si512(x);
+    __m512i y = _mm512_mask_sub_epi64(_mm512_add_epi64(bits, one), _mm512_cmp_pd_mask(x, _mm512_setzero_pd(), _CMP_GT_OQ), bits, one);
+    return _mm512_mask_mov_pd(_mm512_castsi512_pd(y), _mm512_cmp_pd_mask(x, _mm512_setzero_pd(), _CMP_EQ_OQ), _mm512_set1_pd(-0x1p-1074));
+}
+INLINE wide wide_before(wide x) { return (wide){before8(x.a), before8(x.b)}; }
 INLINE double wide_least(wide x) { return _mm512_reduce_min_pd(_mm512_min_pd(x.a, x.b)); }
 INLINE double wide_most(wide x) { return _mm512_reduce_max_pd(_mm512_max_pd(x.a, x.b)); }
 
@@ -63,9 +71,9 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, const int32
     b->found += (uint32_t)__builtin_popcount(hits);
 }
 
-/* The rays `met` of the 16 from `i` on set out at `in`, through the planes for which plane[k] == in; side[k] is the cell before
+/* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; side[k] is the cell before
  * such a plane. Where it is not certain in which finest voxel they are they count as found, in doubt. */
-INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask)
+INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
     const __m512i one = _mm512_set1_epi32(1);
     __mmask16 m = (__mmask16)met, doubt = 0;
@@ -93,7 +101,7 @@ INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, con
         keep_words(&b->start.q[k][to], m, q[k]);
     }
     keep_doubles(&b->start.t[to], m, in);
-    keep_doubles(&b->start.t_max[to], m, wide_load(&b->in.t_max[i]));
+    keep_doubles(&b->start.t_max[to], m, t_max);
     keep_doubles(&b->start.spread[to], m, wide_load(&b->in.spread[i]));
     keep_doubles(&b->start.offset[to], m, wide_load(&b->in.offset[i]));
     keep_words(&b->start.ray[to], m, ray);

@@ -220,6 +220,42 @@ TEST(rays_that_go_the_same_way)
     free(rays);
 }
 
+/* Rays that begin above rough ground and run over it towards a light: one packet meets ever more bricks, in most of which it misses what is there. */
+TEST(rays_over_rough_ground_to_a_light)
+{
+    enum { DEPTH = 8, SIDE = 1 << DEPTH, RAYS = 1024 };
+    uint64_t seed = 41, count = 0, blocked_rays = 0, traced = 0, *codes = malloc(3 * SIDE * SIDE * sizeof *codes);
+    static uint32_t ground[SIDE][SIDE];
+    for (uint32_t x = 0; x < SIDE; x++)
+        for (uint32_t z = 0; z < SIDE; z++) {
+            ground[x][z] = (uint32_t)(100 + 20 * sin(x / 9.0) * cos(z / 13.0) + 6 * test_random_unit(&seed));
+            for (uint32_t k = 0; k < 3; k++) codes[count++] = svo_morton_encode(x, ground[x][z] - k, z);
+        }
+    qsort(codes, count, 8, compare_codes);
+    packer_options o = {.lod = true};
+    svo_view *v = packer_make(DEPTH, codes, count, &o);
+    svo_ray *rays = malloc(RAYS * sizeof *rays);
+    for (uint32_t tile = 0; tile < 48 && !test_failed(); tile++) {
+        double step = 0.2 + 3 * test_random_unit(&seed), above = 1 + 8 * test_random_unit(&seed), light[3] = {test_random_unit(&seed) - 0.5, 0, test_random_unit(&seed) - 0.5};
+        light[1] = tile % 3 == 0 ? 0.02 : tile % 3 == 1 ? 0.2 : -0.01;
+        double left = test_random_unit(&seed) * (SIDE - 32 * step), front = test_random_unit(&seed) * (SIDE - 32 * step);
+        for (uint32_t i = 0; i < RAYS; i++) { /* 32x32 in blocks of 4x4 */
+            double x = left + step * (i / 16 % 8 * 4 + i % 4), z = front + step * (i / 128 * 4 + i / 4 % 4);
+            rays[i] = (svo_ray){.origin = {x, ground[(uint32_t)x][(uint32_t)z] + above, z}, .t_min = 0, .t_max = tile % 5 == 4 ? 100 : INFINITY};
+            for (int k = 0; k < 3; k++) rays[i].direction[k] = light[k];
+            if (tile % 7 == 3) rays[i].offset = 2 * step;
+            if (tile % 11 == 5) rays[i].t_min = -40; /* from below the ground */
+            blocked_rays += svo_ray_blocked(v, &rays[i]);
+        }
+        traced += RAYS;
+        check_rays(v, rays, RAYS);
+    }
+    CHECK(blocked_rays > traced / 8 && blocked_rays < traced - traced / 8);
+    free(rays);
+    packer_free(v);
+    free(codes);
+}
+
 /* Cameras in a voxel, on its faces, edges and corners, looking along axes, edges and diagonals, with the least and the largest field
  * of view that svo-render takes: the hit set of every kernel is that of a loop over all voxels. */
 TEST(cameras_in_extreme_places)
