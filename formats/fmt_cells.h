@@ -38,9 +38,25 @@ svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err);
 /* Corner k (0..3) of a face, counter-clockwise from outside (where the grid is right-handed). */
 void fmt_cell_corner(const fmt_cell_face *f, uint32_t k, uint32_t out[3]);
 
+/* Where a corner `at` of cell number `cell` goes; called with every corner of every cell that is part of a face of any. False: a guess, used only where no cell knows better. */
+typedef struct fmt_cells_bend {
+    bool (*corner)(void *user, uint64_t cell, const uint32_t at[3], double out[3]);
+    void *user;
+    bool mirrored; /* it turns the shape inside out: corners of faces go the other way round */
+} fmt_cells_bend;
+/* A face of one cell after that. */
+typedef struct fmt_bent_face {
+    float corner[4][3]; /* counter-clockwise from outside */
+    uint8_t rgb[4];
+} fmt_bent_face;
+/* A face for each side of a cell that no other cell covers, none merged. A corner goes to the middle of its images by all cells that touch it, so faces that
+ * shared an edge share its image. Memory: 40 to 80 bytes a corner beside that of fmt_cells_faces and the faces. *out holds fmt_bent_face; SVO_INVALID_DATA where an image is not finite. */
+svo_result fmt_cells_bent_faces(const fmt_cells *c, const fmt_cells_bend *bend, svo_buffer *out, svo_error *err);
+
 /* Faces and where they are. */
 typedef struct fmt_cells_placed {
-    const fmt_cell_face *faces;
+    const fmt_cell_face *faces; /* either these */
+    const fmt_bent_face *bent;  /* or these; the other one NULL */
     uint64_t count;
     double to_world[16];
 } fmt_cells_placed;
@@ -62,6 +78,8 @@ svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a
 /* The faces of cells, whose to_world is not used, as a mesh; *mesh is its number, UINT64_MAX when there are no faces. SVO_LIMIT where
  * the file would have more than 4 GB, SVO_INVALID_ARGUMENT for too few bits, SVO_RUNTIME when Draco fails, SVO_OUT_OF_MEMORY. */
 svo_result fmt_cells_glb_mesh(fmt_cells_glb *g, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err);
+/* The same of faces that have been bent, in the coordinates of the places of the mesh; never compressed. */
+svo_result fmt_cells_glb_bent(fmt_cells_glb *g, const fmt_bent_face *faces, uint64_t count, bool colored, const char *name, uint64_t *mesh, svo_error *err);
 /* A place for a mesh. name and id (in the node's extras) may be NULL. */
 void fmt_cells_glb_node(fmt_cells_glb *g, uint64_t mesh, const double to_world[16], const char *name, const uint64_t *id);
 /* Where a mesh is, without shear, as EXT_mesh_gpu_instancing says it: beside the translation of the node that has it. */

@@ -5,23 +5,58 @@
 #include "fmt_cells.h"
 #include "fmti_cells.h"
 #include "svo_channel.h"
+#include "svo_math.h"
 
-static void fill_vertices(const fmt_cell_face *f, uint64_t count, uint8_t *position, uint8_t *normal, uint8_t *color, float low[3], float high[3])
+/* What a mesh is made of: faces in the grid, or bent ones. */
+typedef struct quads {
+    const fmt_cell_face *flat;
+    const fmt_bent_face *bent; /* NULL: flat ones */
+} quads;
+
+static void corner_of(const quads *q, uint64_t i, float out[3])
+{
+    if (q->bent != NULL) {
+        memcpy(out, q->bent[i / 4].corner[i % 4], 3 * sizeof *out);
+        return;
+    }
+    uint32_t p[3];
+    fmt_cell_corner(&q->flat[i / 4], i % 4, p);
+    for (int k = 0; k < 3; k++) out[k] = (float)p[k];
+}
+
+/* Across both diagonals; of a face without area any unit vector does, which glTF asks for. */
+static void normal_of(const quads *q, uint64_t face, float out[3])
+{
+    if (q->bent == NULL) {
+        const fmt_cell_face *f = &q->flat[face];
+        for (int k = 0; k < 3; k++) out[k] = k != f->axis ? 0 : f->up ? 1.0f : -1.0f;
+        return;
+    }
+    const float (*c)[3] = q->bent[face].corner;
+    double a[3], b[3];
+    for (int k = 0; k < 3; k++) a[k] = (double)c[2][k] - (double)c[0][k], b[k] = (double)c[3][k] - (double)c[1][k];
+    const svo_vec3 n = svo_normalize(svo_cross(svo_v3(a[0], a[1], a[2]), svo_v3(b[0], b[1], b[2])));
+    out[0] = (float)n.x, out[1] = (float)n.y, out[2] = (float)n.z;
+    if (svo_dot(n, n) == 0) out[2] = 1;
+}
+
+static void fill_vertices(const quads *q, uint64_t count, uint8_t *position, uint8_t *normal, uint8_t *color, float low[3], float high[3])
 {
     for (uint64_t i = 0; i < 4 * count; i++) {
-        const fmt_cell_face *q = &f[i / 4];
-        uint32_t p[3];
-        fmt_cell_corner(q, i % 4, p);
+        const uint8_t *rgb = q->bent != NULL ? q->bent[i / 4].rgb : q->flat[i / 4].rgb;
+        float p[3], n[3];
+        if (position != NULL) corner_of(q, i, p);
+        if (normal != NULL) normal_of(q, i / 4, n);
         for (int k = 0; k < 3; k++) {
-            float v = (float)p[k];
-            if (position != NULL) fmt_glb_put_f32(position + 12 * i + 4 * k, v);
-            if (normal != NULL) fmt_glb_put_f32(normal + 12 * i + 4 * k, k != q->axis ? 0 : q->up ? 1.0f : -1.0f);
+            if (normal != NULL) fmt_glb_put_f32(normal + 12 * i + 4 * k, n[k]);
             if (color != NULL) {
-                uint32_t linear = (uint32_t)(svo_srgb_to_linear(q->rgb[k]) * 65535.0f + 0.5f);
+                uint32_t linear = (uint32_t)(svo_srgb_to_linear(rgb[k]) * 65535.0f + 0.5f);
                 color[8 * i + 2 * k] = (uint8_t)linear, color[8 * i + 2 * k + 1] = (uint8_t)(linear >> 8);
             }
-            if (position != NULL && (i == 0 || v < low[k])) low[k] = v;
-            if (position != NULL && (i == 0 || v > high[k])) high[k] = v;
+            if (position == NULL) continue;
+            fmt_glb_put_f32(position + 12 * i + 4 * k, p[k]);
+            if (i == 0 || p[k] < low[k]) low[k] = p[k];
+            if (i == 0 || p[k] > high[k]) high[k] = p[k];
         }
         if (color != NULL) color[8 * i + 6] = color[8 * i + 7] = 255; /* alpha: rows must be multiples of 4 bytes */
     }
@@ -32,7 +67,7 @@ static json_t *primitive(json_t *attributes, uint64_t index)
     return json_pack("{s:o,s:I,s:i}", "attributes", attributes, "indices", (json_int_t)index, "material", 0);
 }
 
-static json_t *plain(fmt_glb *g, const fmt_cell_face *f, uint64_t count, bool colored)
+static json_t *plain(fmt_glb *g, const quads *f, uint64_t count, bool colored)
 {
     uint64_t position = 0, normal = 0, color = 0, index = 0;
     float low[3] = {0}, high[3] = {0};
@@ -116,20 +151,15 @@ svo_result fmt_cells_glb_begin(bool draco, uint32_t bits, const svo_allocator *a
     return SVO_OK;
 }
 
-svo_result fmt_cells_glb_mesh(fmt_cells_glb *s, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err)
+static svo_result add_mesh(fmt_cells_glb *s, const quads *q, uint64_t faces, bool colored, const char *name, uint64_t *mesh, svo_error *err)
 {
-    svo_buffer list;
-    svo_buffer_init(&list, c->allocator);
-    svo_result r = fmt_cells_faces(c, &list, err);
-    const uint64_t faces = list.size / sizeof(fmt_cell_face);
-    const fmt_cell_face *f = (const fmt_cell_face *)(const void *)list.data;
     json_t *p = NULL;
+    svo_result r = SVO_OK;
     *mesh = UINT64_MAX;
-    if (r == SVO_OK && faces > UINT32_MAX / 36)
-        r = svo_fail(err, SVO_LIMIT, "%llu faces are more than a .glb file can hold (4 GB); export a coarser level", (unsigned long long)faces);
+    if (faces > UINT32_MAX / 36) r = svo_fail(err, SVO_LIMIT, "%llu faces are more than a .glb file can hold (4 GB); export a coarser level", (unsigned long long)faces);
     if (r == SVO_OK && faces != 0 && !s->g.failed) {
-        if (s->draco != UINT32_MAX) r = packed(s, f, faces, c->colored, &p, err);
-        else p = plain(&s->g, f, faces, c->colored);
+        if (s->draco != UINT32_MAX && q->bent == NULL) r = packed(s, q->flat, faces, colored, &p, err);
+        else p = plain(&s->g, q, faces, colored);
     }
     if (p != NULL) {
         *mesh = json_array_size(s->meshes);
@@ -137,8 +167,24 @@ svo_result fmt_cells_glb_mesh(fmt_cells_glb *s, const fmt_cells *c, const char *
         if (name != NULL && name[0] != 0) json_object_set_new(json_array_get(s->meshes, *mesh), "name", json_string(name));
         s->report.faces += faces;
     }
+    return r;
+}
+
+svo_result fmt_cells_glb_mesh(fmt_cells_glb *s, const fmt_cells *c, const char *name, uint64_t *mesh, svo_error *err)
+{
+    svo_buffer list;
+    svo_buffer_init(&list, c->allocator);
+    svo_result r = fmt_cells_faces(c, &list, err);
+    const quads q = {.flat = (const fmt_cell_face *)(const void *)list.data};
+    if (r == SVO_OK) r = add_mesh(s, &q, list.size / sizeof *q.flat, c->colored, name, mesh, err);
     svo_buffer_free(&list);
     return r;
+}
+
+svo_result fmt_cells_glb_bent(fmt_cells_glb *s, const fmt_bent_face *faces, uint64_t count, bool colored, const char *name, uint64_t *mesh, svo_error *err)
+{
+    const quads q = {.bent = faces};
+    return add_mesh(s, &q, count, colored, name, mesh, err);
 }
 
 void fmt_cells_glb_node(fmt_cells_glb *s, uint64_t mesh, const double to_world[16], const char *name, const uint64_t *id)

@@ -4,6 +4,7 @@
 
 #include "fmt_cells.h"
 #include "fmt_container.h"
+#include "fmti_cells.h"
 
 /* --- faces --- */
 
@@ -35,6 +36,7 @@ typedef struct mesher {
     const fmt_cells *c;
     keyed *a, *b;
     svo_buffer *out;
+    bool apart; /* one cell a face */
     svo_buffer rows[2]; /* numbers of the faces that end in the last row, in this row */
 } mesher;
 
@@ -50,7 +52,7 @@ static svo_result merge(mesher *m, const keyed *unit, uint64_t count, uint8_t ax
     uint64_t row = UINT64_MAX;
     for (uint64_t i = 0; i < count;) {
         uint64_t key = unit[i].key, end = i + 1;
-        while (end < count && unit[end].key == unit[end - 1].key + 1 && unit[end].value == unit[i].value && (unit[end].key & mask) != 0) end++;
+        while (!m->apart && end < count && unit[end].key == unit[end - 1].key + 1 && unit[end].value == unit[i].value && (unit[end].key & mask) != 0) end++;
         if (key >> 21 != row) { /* a new row: what was this row is the last one, if it is right below */
             svo_buffer *t = last;
             last = now, now = t;
@@ -63,7 +65,7 @@ static svo_result merge(mesher *m, const keyed *unit, uint64_t count, uint8_t ax
         const uint32_t *earlier = (const uint32_t *)(const void *)last->data;
         while (candidate < last->size / 4 && face(m, earlier[candidate])->low[0] < low) candidate++;
         fmt_cell_face *f = candidate < last->size / 4 ? face(m, earlier[candidate]) : NULL;
-        if (f != NULL && f->low[0] == low && f->high[0] == high && memcmp(f->rgb, &unit[i].value, 4) == 0) {
+        if (!m->apart && f != NULL && f->low[0] == low && f->high[0] == high && memcmp(f->rgb, &unit[i].value, 4) == 0) {
             f->high[1]++;
             number = earlier[candidate];
         } else {
@@ -107,11 +109,11 @@ static svo_result across(mesher *m, uint8_t axis, svo_error *err)
     return SVO_OK;
 }
 
-svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err)
+svo_result fmti_cells_faces(const fmt_cells *c, bool apart, svo_buffer *out, svo_error *err)
 {
     if (c->count == 0) return SVO_OK;
     if (c->count > UINT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu cells are too many for a mesh; export a coarser level", (unsigned long long)c->count);
-    mesher m = {.c = c, .out = out};
+    mesher m = {.c = c, .out = out, .apart = apart};
     m.a = svo_alloc(c->allocator, c->count, sizeof *m.a);
     m.b = svo_alloc(c->allocator, c->count, sizeof *m.b);
     for (int i = 0; i < 2; i++) svo_buffer_init(&m.rows[i], c->allocator);
@@ -122,6 +124,8 @@ svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err)
     svo_free(c->allocator, m.b, c->count, sizeof *m.b);
     return r;
 }
+
+svo_result fmt_cells_faces(const fmt_cells *c, svo_buffer *out, svo_error *err) { return fmti_cells_faces(c, false, out, err); }
 
 /* Corner k of a face, counter-clockwise from outside (where the grid is right-handed). */
 static void corner(const fmt_cell_face *f, uint32_t k, uint32_t out[3])
@@ -144,14 +148,17 @@ static svo_result write_vertices(const fmt_cells_placed *p, bool colored, fmt_ou
         uint8_t row[4 * 27];
         size_t at = 0;
         for (uint32_t k = 0; k < 4; k++) {
-            uint32_t c[3];
-            corner(&p->faces[i], det < 0 ? 3 - k : k, c);
+            const uint32_t turned = det < 0 ? 3 - k : k;
+            uint32_t cell[3] = {0};
+            double c[3];
+            if (p->bent == NULL) corner(&p->faces[i], turned, cell);
+            for (int r = 0; r < 3; r++) c[r] = p->bent == NULL ? (double)cell[r] : (double)p->bent[i].corner[turned][r];
             for (int r = 0; r < 3; r++, at += 8) {
                 double w = m[4 * r] * c[0] + m[4 * r + 1] * c[1] + m[4 * r + 2] * c[2] + m[4 * r + 3];
                 memcpy(row + at, &w, 8);
             }
             if (colored) {
-                memcpy(row + at, p->faces[i].rgb, 3);
+                memcpy(row + at, p->bent == NULL ? p->faces[i].rgb : p->bent[i].rgb, 3);
                 at += 3;
             }
         }

@@ -12,4 +12,7 @@ struct fmt_cells_glb {
     fmt_cells_glb_report report;
 };
 
+/* fmt_cells_faces, perhaps with each face of a cell apart. */
+svo_result fmti_cells_faces(const fmt_cells *c, bool apart, svo_buffer *out, svo_error *err);
+
 #endif

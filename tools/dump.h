@@ -11,7 +11,7 @@
 /* What --export was asked for. */
 typedef struct dump_export {
     const char *path; /* NULL: nothing */
-    bool rgba, has_level, has_low, has_high, has_draco, instancing;
+    bool rgba, has_level, has_low, has_high, has_draco, instancing, rest;
     uint64_t level, limit, draco; /* draco: bits, 0 = fewest that do */
     double low[3], high[3];
 } dump_export;

@@ -2,6 +2,7 @@
 holds the voxels that --voxels writes."""
 
 import json
+import math
 import os
 import re
 import shutil
@@ -237,8 +238,12 @@ def test_glb_passes_the_validator(folder):
         support.skip("NO VALIDATOR: npm install gltf-validator, and name the folder in SVOKIT_GLTF_VALIDATOR")
     make(folder)
     make_scene(folder)
+    scene = json.loads((folder / "s.json").read_text())
+    scene["instances"][0]["pose"] = {"twist": {"degrees": 200}, "bend": {"axis": "y", "towards": "x", "degrees": 60}}
+    (folder / "p.json").write_text(json.dumps(scene))
+    run("svo-pack", folder / "p.json", "-o", folder / "p.svscene", "-f")
     for more in ([], ["--draco", 0], ["--level", 3]):
-        for source in ("a.svdag", "s.svscene"):
+        for source in ("a.svdag", "s.svscene", "p.svscene"):
             issues = issues_of(export(folder, ".glb", *more, source=source)[0])
             check(issues["numErrors"] == 0 and issues["numWarnings"] == 0, (more, source, issues))
 
@@ -405,6 +410,107 @@ def test_scene_glb_instancing(folder):
     check(tool("svo-dump", folder / "i.svscene", "--export", folder / "x.ply", "--instancing").code == 1 and tool("svo-dump", folder / "i.svscene", "--instancing").code == 1)
 
 
+def twisted(p, pivot, low, high, degrees, axis=1):
+    """docs/format/svscene.md, twist."""
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    q = [a - b for a, b in zip(p, pivot)]
+    t = math.radians(degrees) * min(max((p[axis] - low) / (high - low), 0), 1)
+    q[u], q[v] = q[u] * math.cos(t) - q[v] * math.sin(t), q[u] * math.sin(t) + q[v] * math.cos(t)
+    return [a + b for a, b in zip(q, pivot)]
+
+
+def edges_are_shared(quads):
+    """Every edge of a closed surface belongs to an even number of faces. Corners are tuples."""
+    count = {}
+    for q in quads:
+        for a, b in zip(q, q[1:] + q[:1]):
+            count[min(a, b), max(a, b)] = count.get((min(a, b), max(a, b)), 0) + 1
+    return all(n % 2 == 0 for n in count.values())
+
+
+def test_scene_poses(folder):
+    """An asset under a pose is a mesh of its own: every corner of every voxel's side where the formulas of the format put it, the right way round."""
+    voxels, matrix, instances = make_scene(folder)
+    scene = json.loads((folder / "s.json").read_text())
+    pivot, low, high = [0.7, 0.2, 0.9], 0.3, 1.7
+    twist = {"axis": "y", "degrees": 70, "from": low, "to": high}
+    scene["instances"][0]["pose"] = {"twist": twist, "pivot": pivot}
+    scene["instances"][1]["pose"] = {"twist": twist, "pivot": pivot}  # the same: one mesh
+    scene["instances"].append({"asset": "cubes", "name": "mirror", "pose": {"matrix": [-1.5, 0, 0, 0, 0, 1, 0, 0, 0, 0.5, 1, 0, 0.25, 0, 0, 1]}})
+    scene["instances"].append({"asset": "cubes", "name": "as it is"})
+    (folder / "p.json").write_text(json.dumps(scene))
+    run("svo-pack", folder / "p.json", "-o", folder / "p.svscene", "-f")
+    images = {"left one": lambda p: twisted(p, pivot, low, high, 70), "turned": lambda p: twisted(p, pivot, low, high, 70),
+              "mirror": lambda p: [0.25 - 1.5 * p[0], p[1] + 0.5 * p[2], p[2]], "as it is": lambda p: p}
+    out, report = export(folder, ".glb", source="p.svscene")
+    g, accessor = read_glb(out.read_bytes())
+    check(report["posed"] == 3 and report["posed_meshes"] == 2 and report["poses_left_out"] == 0 and len(g["meshes"]) == 4 and report["nodes"] == 5, report)
+    nodes = {n.get("name", ""): n for n in g["nodes"]}
+    check(nodes["left one"]["mesh"] == nodes["turned"]["mesh"] and len({n["mesh"] for n in g["nodes"]}) == 4)
+    close = lambda p: tuple(round(x * 1e4) for x in p)
+    for name, image in images.items():
+        p = g["meshes"][nodes[name]["mesh"]]["primitives"][0]
+        position, normal, index = accessor(p["attributes"]["POSITION"]), accessor(p["attributes"]["NORMAL"]), [k for k, in accessor(p["indices"])]
+        i = next(i for i in scene["instances"] if i.get("name") == name)
+        m = nodes[name]["matrix"]
+        place_of = lambda at: [m[r] * at[0] + m[4 + r] * at[1] + m[8 + r] * at[2] + m[12 + r] for r in range(3)]
+        if name == "as it is":  # (merged faces; its place is what is looked at)
+            wanted = instance_place(i, place(matrix["cubes"], (3, 5, 1)))
+            check(all(abs(a - b) < 1e-5 for a, b in zip(place_of((3, 5, 1)), wanted)))
+            continue
+        found = []
+        for t in range(0, len(index), 6):
+            corners = [position[k] for k in (index[t], index[t + 1], index[t + 2], index[t + 5])]
+            a, b = [x - y for x, y in zip(corners[2], corners[0])], [x - y for x, y in zip(corners[3], corners[1])]
+            n = [a[(k + 1) % 3] * b[(k + 2) % 3] - a[(k + 2) % 3] * b[(k + 1) % 3] for k in range(3)]
+            length = sum(x * x for x in n) ** 0.5
+            check(sum(x * y for x, y in zip(n, normal[index[t]])) > 0.999 * length, "normals are those of the faces")
+            found.append((corners, [x / length for x in n]))
+        check(edges_are_shared([[tuple(c) for c in q] for q, _ in found]))
+        wanted = {}
+        for axis, up, slice_, u, v in unit_faces(voxels["cubes"]):
+            c = [[0, 0, 0] for _ in range(4)]
+            for k, (du, dv) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
+                c[k][axis], c[k][(axis + 1) % 3], c[k][(axis + 2) % 3] = slice_, u + du, v + dv
+            beyond = [x + (0.5 if k != axis else (0.5 if up else -0.5)) for k, x in enumerate(c[0])]  # outside of the voxel, beside its face
+            middle = [sum(x) / 4 for x in zip(*[image(place(matrix["cubes"], p)) for p in c])]
+            away = [a - b for a, b in zip(image(place(matrix["cubes"], beyond)), middle)]
+            wanted.setdefault(frozenset(close(image(place(matrix["cubes"], p))) for p in c), []).append(away)
+        check(len(found) == len(unit_faces(voxels["cubes"])))
+        for corners, n in found:
+            # (rounding to 1e-4 may go either way)
+            key = frozenset(close(c) for c in corners)
+            if key not in wanted:
+                key = next((w for w in wanted if all(any(max(abs(x - y) for x, y in zip(close(c), d)) <= 1 for d in w) for c in corners)), None)
+            check(key is not None, (name, corners))
+            check(max(sum(x * y for x, y in zip(n, away)) for away in wanted[key]) > 0, (name, "inside out", corners))
+    # the same places in a .ply
+    flat, report = export(folder, ".ply", source="p.svscene")
+    head, body = flat.read_bytes().split(b"end_header\n", 1)
+    vertices = int(re.findall(rb"element vertex (\d+)", head)[0])
+    rows = {close(r[:3]) for r in struct.iter_unpack("<dddBBB", body[:27 * vertices])}
+    wanted = []
+    for i in scene["instances"]:
+        if i.get("name") in images and i.get("name") != "as it is":
+            for axis, up, slice_, u, v in list(unit_faces(voxels["cubes"]))[::7]:
+                p = [0, 0, 0]
+                p[axis], p[(axis + 1) % 3], p[(axis + 2) % 3] = slice_, u, v
+                wanted.append((i, instance_place(i, images[i["name"]](place(matrix["cubes"], p)))))
+    for i, p in wanted:
+        slack = [1 if max(map(abs, p)) < 100 else 30] * 3  # (floats of the instance's place)
+        check(close(p) in rows or any(all(abs(a - b) <= s for a, b, s in zip(close(p), r, slack)) for r in rows), (i.get("name"), p))
+    # not wanted, or too much
+    r = run("svo-dump", folder / "p.svscene", "--export", folder / "rest.glb", "--rest", "--report", folder / "r.json")
+    plain = support.report(folder / "r.json")["output"]["export"]
+    check("3 instances have a pose" in r.err and plain["poses_left_out"] == 3 and plain["posed"] == plain["posed_meshes"] == 0, plain)
+    limit = plain["voxels"] + 1
+    check(tool("svo-dump", folder / "p.svscene", "--export", folder / "y.glb", "--limit", limit).code == 6 and not (folder / "y.glb").exists())
+    check(tool("svo-dump", folder / "a.svdag", "--export", folder / "y.vox", "--rest").code == 1 and tool("svo-dump", folder / "p.svscene", "--rest").code == 1)
+    # instances of one asset in one pose are one node
+    _, report = export(folder, ".glb", "--instancing", source="p.svscene")
+    check(report["instanced"] == 2 and report["nodes"] == 4, report)
+
+
 def test_scene_ply(folder):
     voxels, matrix, instances = make_scene(folder)
     out, report = export(folder, ".ply", source="s.svscene")
@@ -429,13 +535,6 @@ def test_scene_ply(folder):
     check(abs(found - wanted) < 1e-5 * wanted, (found, wanted))
     for k in range(3):
         check(abs(min(r[k] for r in rows) - min(c[k] for c in corners)) < 1e-2 and abs(max(r[k] for r in rows) - max(c[k] for c in corners)) < 1e-2)
-    # poses are left out, and that is said
-    scene = json.loads((folder / "s.json").read_text())
-    scene["instances"][0]["pose"] = {"twist": {"degrees": 40}}
-    (folder / "s.json").write_text(json.dumps(scene))
-    run("svo-pack", folder / "s.json", "-o", folder / "p.svscene")
-    r = run("svo-dump", folder / "p.svscene", "--export", folder / "p.glb", "--report", folder / "r.json")
-    check("1 instances have a pose" in r.err and support.report(folder / "r.json")["output"]["export"]["poses_left_out"] == 1, r)
     # refused: what takes one octree
     for code, more in ((5, ["--export", folder / "x.vox"]), (5, ["--export", folder / "x.nrrd"]), (1, ["--export", folder / "x.glb", "--low", "0,0,0"])):
         check(tool("svo-dump", folder / "s.svscene", *more).code == code, more)

@@ -1,6 +1,8 @@
 """Skins and animations of glTF files as poses: posed voxels beside the mesh posed by tests/cli/rig.py."""
 
 import json
+import re
+import struct
 
 import rig
 import support
@@ -45,6 +47,27 @@ def test_a_skin_follows_its_joints(folder):
         out = report["output"]
         check(out["posed_instances"] == 1 and out["poses"] == 1 and out["asset_list"][0]["bones"] == 3, out)
         compare(folder, mesh.posed(0, time), 0.08, "at %g s" % time)
+
+
+def test_an_exported_skin_is_where_the_mesh_is(folder):
+    """svo-dump --export of a posed character: the sides of its voxels, without a gap, where the posed mesh is."""
+    file = rig.arm(folder / "arm.gltf")
+    for time in (0.5, 1.4):
+        pack(folder, file, "--voxel-size", 0.1, "--animation", "wave", "--time", time)
+        run("svo-dump", folder / "s.svscene", "--export", folder / "s.ply", "-f", "-q")
+        head, body = (folder / "s.ply").read_bytes().split(b"end_header\n", 1)
+        count = int(re.findall(rb"element vertex (\d+)", head)[0])
+        rows = list(struct.iter_unpack("<ddd", body[:24 * count]))
+        edges = {}
+        for q in range(0, count, 4):
+            for k in range(4):
+                a, b = sorted((rows[q + k], rows[q + (k + 1) % 4]))
+                edges[a, b] = edges.get((a, b), 0) + 1
+        check(all(n % 2 == 0 for n in edges.values()), "a gap between two sides of voxels")
+        mesh = list(rig.samples(rig.File(file).posed(0, time), 0.08))
+        near_mesh, near_rows = rig.Points(mesh, 0.2), rig.Points(sorted(set(rows)), 0.2)
+        off = [near_mesh.distance(p) for p in rows[::37]]
+        check(max(off) < 0.2 and max(near_rows.distance(p) for p in mesh[::29]) < 0.15, (time, max(off)))
 
 
 def test_what_stands_as_it_was_bound_has_no_pose(folder):
