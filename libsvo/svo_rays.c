@@ -15,38 +15,46 @@ const char *svo_ray_kernel_name(svo_ray_kernel kernel)
     return "?";
 }
 
-/* The node that the kernel found, and where exactly the ray enters it, as svo_raycast tells it: everything of *hit but the
- * attribute. False where it is not what svo_raycast finds: the kernel may see that a node is small enough only after the
- * ray has entered it, and then it was not when it counted. */
-static bool found(const svo_rays *r, const svo_ray *ray, bool lod, int32_t state, const int32_t at[3], svoi_ray_place *place, svo_hit *hit)
+/* Log2 of the edge of the node that was found, in finest voxels. */
+static uint32_t edge_of(const svo_rays *r, int32_t state) { return (uint32_t)state - 1 - r->fraction; }
+
+static svoi_ray_place place_of(const svo_rays *r, const svoi_ray_batch *b, uint32_t j)
 {
-    uint32_t above = (uint32_t)state - 1 - r->fraction; /* log2 of the node's edge in finest voxels */
-    double enter = -INFINITY, size = (double)((uint32_t)1 << above);
-    uint32_t face = 0;
-    place->tree_level = r->view->tree_depth - above;
-    for (uint32_t k = 0; k < 3; k++) {
-        place->corner[k] = at[k] >> r->fraction & -((int32_t)1 << above);
-        double inv = 1 / ray->direction[k], p = place->corner[k] + (inv < 0 ? size : 0);
-        double t = (p - ray->origin[k]) * inv;
-        if (t > enter) enter = t, face = 2 * k + (inv < 0);
-        hit->cell[k] = (uint32_t)place->corner[k] >> above;
-    }
-    if (enter < ray->t_min) enter = ray->t_min, face = SVO_FACE_INSIDE;
-    if (lod && above != 0 && !(size <= ray->spread * enter + ray->offset)) return false;
-    hit->hit = true;
-    hit->t = enter + 0.0; /* no negative zero */
-    hit->face = (uint8_t)face;
-    hit->level = (uint8_t)(r->view->depth - above);
-    return true;
+    const uint32_t above = edge_of(r, b->state[j]);
+    svoi_ray_place place = {.tree_level = r->view->tree_depth - above};
+    for (uint32_t k = 0; k < 3; k++) place.corner[k] = b->at[k][j] >> r->fraction & -((int32_t)1 << above);
+    return place;
 }
 
-/* Number of the attribute of the node at `place`: the kernel found it as a cell of the node (or brick) at `unit`, or a block of 2x2x2 cells, and `base` is the
- * number of that node's own attribute. */
-static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, int32_t state, const int32_t at[3], uint32_t unit, uint32_t base, const svoi_ray_place *place)
+/* False where the node that was found is not what svo_raycast finds: the kernel may see that a node is small enough only after the
+ * ray has entered it, and then it was not when it counted. */
+static bool small_enough(const svo_rays *r, const svoi_ray_batch *b, uint32_t j)
 {
+    const svo_ray *ray = &b->rays[b->found_ray[j]];
+    const svoi_ray_place place = place_of(r, b, j);
+    const double size = (double)((uint32_t)1 << edge_of(r, b->state[j]));
+    double enter = ray->t_min;
+    for (uint32_t k = 0; k < 3; k++) {
+        const double inv = 1 / ray->direction[k], p = place.corner[k] + (inv < 0 ? size : 0);
+        enter = fmax(enter, (p - ray->origin[k]) * inv);
+    }
+    return size == 1 || size <= ray->spread * enter + ray->offset;
+}
+
+/* Number of the attribute of a node that was found: as a cell of the node (or brick) at `unit`, or a block of 2x2x2 cells; `base` is the
+ * number of that node's own attribute. */
+static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, const svoi_ray_batch *b, uint32_t j)
+{
+    const int32_t state = b->state[j], at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
+    const uint32_t unit = (uint32_t)b->node_found[j], base = (uint32_t)b->base[j];
+    svoi_ray_place place;
+    if (!b->numbers) {
+        place = place_of(r, b, j);
+        return svoi_ray_attribute(r->view, cache, &place);
+    }
     if (r->before[unit] & 1) return base; /* a full leaf: all that is inside has its attribute */
     const bool lod = r->view->lod;
-    const uint32_t above = (uint32_t)state - 1 - r->fraction, s = r->fraction + (above & ~1u);
+    const uint32_t above = edge_of(r, state), s = r->fraction + (above & ~1u);
     const uint64_t mask = r->units[unit];
     uint32_t cell = ((uint32_t)at[0] >> s & 3) | ((uint32_t)at[1] >> s & 3) << 2 | ((uint32_t)at[2] >> s & 3) << 4;
     const bool block = above & 1;
@@ -63,7 +71,10 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, int32_t stat
     while (block && !(mask >> first & 1)) first += first & 1 ? first & 4 ? 16 - 5 : 3 : 1;
     uint64_t child = (uint32_t)r->units[unit + 1], rank = (uint64_t)__builtin_popcountll(mask & (((uint64_t)1 << first) - 1));
     uint32_t before = r->before[child + (s == r->fraction + 2 ? rank : 2 * rank)];
-    if (block && (before & 1)) return svoi_ray_attribute(r->view, cache, place); /* perhaps the block is a full leaf */
+    if (block && (before & 1)) { /* perhaps the block is a full leaf */
+        place = place_of(r, b, j);
+        return svoi_ray_attribute(r->view, cache, &place);
+    }
     return base + (before >> 1) - block;
 }
 
@@ -110,10 +121,7 @@ void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b)
     svoi_rays_trace_avx512(r, lod, true, b);
     for (uint32_t j = 0; j < b->found; j++) {
         const uint32_t i = (uint32_t)b->found_ray[j];
-        const int32_t at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
-        svoi_ray_place place;
-        svo_hit unused;
-        const bool sure = b->state[j] != SVOI_RAY_DOUBT && (!lod || found(r, &b->rays[i], true, b->state[j], at, &place, &unused));
+        const bool sure = b->state[j] != SVOI_RAY_DOUBT && (!lod || small_enough(r, b, j));
         (sure ? b->blocked : b->unsure)[i / 8] |= (uint8_t)(1u << i % 8);
     }
     b->starts = b->found = 0;
@@ -144,6 +152,7 @@ static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch 
 {
     bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
     b->found = 0;
+    b->rays = rays;
     b->numbers = r->before != NULL;
     bool start = trace_packets(r, lod, b);
     svoi_rays_trace_avx512(r, lod, start, b);
@@ -153,14 +162,11 @@ static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch 
             uint32_t ray = 8 * i + (uint32_t)__builtin_ctz(rest);
             svoi_raycast(r->view, cache, &rays[ray], 1, &hits[ray]);
         }
+    svoi_rays_hits_avx512(r, lod, b, hits);
     for (uint32_t j = 0; j < b->found; j++) {
-        uint32_t i = (uint32_t)b->found_ray[j];
-        int32_t state = b->state[j], at[3] = {b->at[0][j], b->at[1][j], b->at[2][j]};
-        svoi_ray_place place;
-        svo_hit *hit = &hits[i];
-        if (state == SVOI_RAY_DOUBT || !found(r, &rays[i], lod, state, at, &place, hit)) svoi_raycast(r->view, cache, &rays[i], 1, hit);
-        else if (b->numbers) hit->attribute = number_of(r, cache, state, at, (uint32_t)b->node_found[j], (uint32_t)b->base[j], &place);
-        else hit->attribute = svoi_ray_attribute(r->view, cache, &place);
+        const uint32_t i = (uint32_t)b->found_ray[j];
+        if (b->again[j / 8] >> j % 8 & 1) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
+        else if (!r->view->unnumbered) hits[i].attribute = number_of(r, cache, b, j);
     }
 }
 

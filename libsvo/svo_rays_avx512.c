@@ -34,21 +34,27 @@ bool svoi_rays_have_avx512(void)
 
 static const double far_enough = 0x1p40; /* fixed-point units: beyond, the positions' error would come near to one unit */
 
-/* Structure of arrays, in fixed-point units; the caller's numbers in `ray`. True if a ray has a level of detail. */
-static bool transpose(const svo_ray *rays, uint32_t count, double scale, svoi_ray_batch *b)
+/* Does any ray have a level of detail? */
+static bool cones(const svo_ray *rays, uint32_t count)
 {
-    double most = 0;
-    for (uint32_t i = 0; i < count; i++) {
-        const svo_ray *r = &rays[i];
-        __builtin_prefetch(r + SVOI_RAYS_BATCH); /* of the next batch */
-        __builtin_prefetch((const char *)(r + SVOI_RAYS_BATCH) + 64);
-        for (int k = 0; k < 3; k++) b->in.o[k][i] = r->origin[k] * scale, b->in.d[k][i] = r->direction[k] * scale;
-        b->in.t[i] = r->t_min, b->in.t_max[i] = r->t_max;
-        b->in.spread[i] = r->spread, b->in.offset[i] = r->offset;
-        most = r->spread > most ? r->spread : most;
-        most = r->offset > most ? r->offset : most;
+    __m128d most = _mm_setzero_pd();
+    for (uint32_t i = 0; i < count; i++) most = _mm_max_pd(_mm_loadu_pd(&rays[i].spread), most); /* of NaN and a number the second */
+    return _mm_movemask_pd(_mm_cmpgt_pd(most, _mm_setzero_pd())) != 0;
+}
+
+/* The first eight doubles of eight rays: origins, directions, t_min, t_max. Rays from `count` on are copies of the last. */
+INLINE void load_rays(const svo_ray *rays, uint32_t count, __m512d field[8])
+{
+    __m512d row[8], a[8], c[8];
+    for (uint32_t i = 0; i < 8; i++) row[i] = _mm512_loadu_pd(rays[i < count ? i : count - 1].origin);
+    for (int i = 0; i < 4; i++) a[i] = _mm512_unpacklo_pd(row[2 * i], row[2 * i + 1]), a[4 + i] = _mm512_unpackhi_pd(row[2 * i], row[2 * i + 1]);
+    for (int odd = 0; odd < 8; odd += 4) {
+        c[0] = _mm512_shuffle_f64x2(a[odd], a[odd + 1], 0x88), c[1] = _mm512_shuffle_f64x2(a[odd + 2], a[odd + 3], 0x88);
+        c[2] = _mm512_shuffle_f64x2(a[odd], a[odd + 1], 0xdd), c[3] = _mm512_shuffle_f64x2(a[odd + 2], a[odd + 3], 0xdd);
+        const int f = odd / 4;
+        field[f] = _mm512_shuffle_f64x2(c[0], c[1], 0x88), field[f + 4] = _mm512_shuffle_f64x2(c[0], c[1], 0xdd);
+        field[f + 2] = _mm512_shuffle_f64x2(c[2], c[3], 0x88), field[f + 6] = _mm512_shuffle_f64x2(c[2], c[3], 0xdd);
     }
-    return most > 0;
 }
 
 INLINE __m512d absolute(__m512d x) { return _mm512_abs_pd(x); }
@@ -57,16 +63,19 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
 {
     const double scale = ldexp(1, (int)r->fraction), root_size = ldexp(1, (int)r->view->tree_depth);
     const __m512d zero = _mm512_setzero_pd(), one = _mm512_set1_pd(1);
-    const bool lod = transpose(rays, count, scale, b) && r->view->lod;
+    const bool lod = r->view->lod && cones(rays, count);
     const int32_t *low_side = lod ? r->root_low : r->low, *high_side = lod ? r->root_high : r->high;
     const __m256i unit_mask = _mm256_set1_epi32((1 << r->fraction) - 1), one_i = _mm256_set1_epi32(1);
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i += 8) {
         __mmask8 lanes = count - i >= 8 ? 0xff : (__mmask8)((1u << (count - i)) - 1), usual = lanes, entering[3], negative[3];
-        __m512d o[3], d[3], inv[3], near[3], t_min = _mm512_loadu_pd(&b->in.t[i]), t_max = _mm512_loadu_pd(&b->in.t_max[i]);
+        __m512d field[8], o[3], d[3], inv[3], near[3], spread = zero, offset = zero;
+        for (uint32_t k = 0; k < 8 * sizeof *rays; k += 64) __builtin_prefetch((const char *)&rays[i + SVOI_RAYS_BATCH] + k); /* of the next batch */
+        load_rays(rays + i, count - i, field);
+        const __m512d t_min = field[6], t_max = field[7];
         __m512d t = t_min, leave = _mm512_set1_pd(INFINITY);
         for (int k = 0; k < 3; k++) {
-            o[k] = _mm512_loadu_pd(&b->in.o[k][i]), d[k] = _mm512_loadu_pd(&b->in.d[k][i]);
+            o[k] = _mm512_mul_pd(field[k], _mm512_set1_pd(scale)), d[k] = _mm512_mul_pd(field[3 + k], _mm512_set1_pd(scale));
             inv[k] = _mm512_div_pd(one, d[k]);
             /* NaN fails every one of these */
             usual &= _mm512_cmp_pd_mask(absolute(o[k]), _mm512_set1_pd(far_enough), _CMP_LE_OQ);
@@ -82,7 +91,8 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         usual &= _mm512_cmp_pd_mask(absolute(t_min), _mm512_set1_pd(0x1p300), _CMP_LE_OQ);
         usual &= _mm512_cmp_pd_mask(t_max, t_max, _CMP_ORD_Q);
         if (lod) {
-            __m512d spread = _mm512_loadu_pd(&b->in.spread[i]), offset = _mm512_loadu_pd(&b->in.offset[i]);
+            const __m256i at = _mm256_mullo_epi32(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32((int)(sizeof *rays / 8)));
+            spread = _mm512_mask_i32gather_pd(zero, lanes, at, &rays[i].spread, 8), offset = _mm512_mask_i32gather_pd(zero, lanes, at, &rays[i].offset, 8);
             /* the root itself is not a cell of any node: where it is small enough the ray is left to svo_raycast */
             __m512d limit = _mm512_add_pd(_mm512_mul_pd(spread, t), offset);
             usual &= _mm512_cmp_pd_mask(limit, _mm512_set1_pd(root_size), _CMP_LT_OQ);
@@ -100,7 +110,7 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
         meets &= (__mmask8)~doubt;
         __m256i number = _mm256_add_epi32(_mm256_set1_epi32((int)i), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
         b->unsure[i / 8] = doubt;
-        /* Close the ranks. Writing past `kept` is harmless: later rays are read before. */
+        /* close the ranks */
         for (int k = 0; k < 3; k++) {
             _mm512_storeu_pd(&b->in.o[k][kept], _mm512_maskz_compress_pd(meets, o[k]));
             _mm512_storeu_pd(&b->in.d[k][kept], _mm512_maskz_compress_pd(meets, d[k]));
@@ -108,8 +118,8 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
             _mm256_storeu_si256((__m256i *)&b->in.q[k][kept], _mm256_maskz_compress_epi32(meets, q[k]));
         }
         if (lod) {
-            _mm512_storeu_pd(&b->in.spread[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->in.spread[i]), _mm512_set1_pd(scale))));
-            _mm512_storeu_pd(&b->in.offset[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(_mm512_loadu_pd(&b->in.offset[i]), _mm512_set1_pd(scale))));
+            _mm512_storeu_pd(&b->in.spread[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(spread, _mm512_set1_pd(scale))));
+            _mm512_storeu_pd(&b->in.offset[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(offset, _mm512_set1_pd(scale))));
         }
         _mm512_storeu_pd(&b->in.t[kept], _mm512_maskz_compress_pd(meets, t));
         _mm512_storeu_pd(&b->in.t_max[kept], _mm512_maskz_compress_pd(meets, t_max));

@@ -67,6 +67,7 @@ typedef struct svoi_ray_batch {
     bool numbers; /* `base` and `node_found` are wanted */
     uint32_t found;
     _Alignas(64) int32_t found_ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], state[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], at[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    uint8_t again[SVOI_RAYS_BATCH / 8 + 2];
     /* For numbers: unit of the node (or brick) whose cell was hit, and the number of its attribute. Not set in doubt. */
     _Alignas(64) int32_t node_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], base[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
 } svoi_ray_batch;
@@ -82,6 +83,8 @@ bool svoi_rays_have_avx512(void);
 bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
 /* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
+/* hits[ray] of what was found, all but the attributes, which are set to 0; b->again tells by number of what was found which are not what svo_raycast finds. */
+void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 /* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
  * `start`. With `any`, rays stay together, and what is appended are the parts of them that may be blocked: one ray may be there several times, and
  * svoi_rays_settle is called when `start` is full. False, and nothing done, where they do not go the same way. */
