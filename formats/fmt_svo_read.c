@@ -372,13 +372,24 @@ static void from_planes(const uint8_t *planes, uint64_t count, uint32_t stride, 
 
 bool fmti_bad_normals(const uint8_t *values, uint64_t count)
 {
-    bool bad = false;
-    for (uint64_t i = 0; i < 2 * count; i++) {
+    enum { LANES = 16 };
+    typedef uint16_t lanes __attribute__((vector_size(2 * LANES)));
+    const lanes worst = (lanes){0} + 0x8000;
+    lanes bad = {0};
+    uint16_t any = 0;
+    uint64_t i = 0;
+    for (; i + LANES <= 2 * count; i += LANES) {
+        lanes n;
+        memcpy(&n, values + 2 * i, sizeof n);
+        bad |= (lanes)(n == worst);
+    }
+    for (uint32_t k = 0; k < LANES; k++) any |= bad[k];
+    for (; i < 2 * count; i++) {
         uint16_t n;
         memcpy(&n, values + 2 * i, 2);
-        bad |= n == 0x8000;
+        any |= (uint16_t)(n == 0x8000);
     }
-    return bad;
+    return any != 0;
 }
 
 /* Where values go: behind the masks, or behind the payload as a zstd frame holds it. */

@@ -52,23 +52,69 @@ static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_O
 
 /* --- encoder ---------------------------------------------------------------------------------------------------- */
 
+enum { WORD = 64 }; /* values at a time, a word of flags */
+typedef uint8_t bytes16 __attribute__((vector_size(16)));
+
+/* 64 values as 32-bit numbers; `inside`: 16 bytes may be read from where any of them begins. */
+static inline void load_word(const uint8_t *values, const uint32_t stride, bool inside, uint32_t *out)
+{
+    if (stride == 4) {
+        memcpy(out, values, 4 * WORD);
+    } else if (stride == 3 && inside) {
+        const bytes16 zero = {0};
+        for (uint64_t i = 0; i < WORD; i += 4) {
+            bytes16 v;
+            memcpy(&v, values + 3 * i, sizeof v);
+            v = __builtin_shufflevector(v, zero, 0, 1, 2, 16, 3, 4, 5, 16, 6, 7, 8, 16, 9, 10, 11, 16);
+            memcpy(out + i, &v, sizeof v);
+        }
+    } else {
+        for (uint64_t i = 0; i < WORD; i++) out[i] = load_value(values + stride * i, stride);
+    }
+}
+
+/* Bytes that are 0 or 1 to bits. */
+static inline uint64_t bits_of(const uint8_t set[WORD])
+{
+    uint64_t bits = 0;
+    for (uint32_t i = 0; i < WORD / 8; i++) {
+        uint64_t eight;
+        memcpy(&eight, set + 8 * i, sizeof eight);
+        bits |= (eight * 0x0102040810204080u >> 56) << 8 * i;
+    }
+    return bits;
+}
+
 /* Values that differ from the one before them, behind a 0 at changes[0]; a bit for each of all values. Returns how many. */
 static inline uint64_t find_changes(const uint8_t *values, uint64_t count, const uint32_t stride, uint64_t *flags, uint32_t *changes)
 {
+    enum { FEW = 12 }; /* bits that are better looked for than tried one by one */
     uint64_t n = 0;
-    uint32_t last = 0;
-    changes[0] = 0;
-    for (uint64_t word = 0; word * 64 < count; word++) {
-        const uint64_t left = count - word * 64, m = left < 64 ? left : 64;
-        uint64_t bits = 0;
-        for (uint64_t i = 0; i < m; i++, values += stride) {
-            const uint32_t v = load_value(values, stride);
-            const uint64_t differs = v != last;
-            changes[n + 1] = last = v;
-            n += differs;
-            bits |= differs << i;
+    uint32_t v[WORD + 1]; /* behind the last one of the word before */
+    v[0] = changes[0] = 0;
+    for (uint64_t word = 0; word * WORD < count; word++, values += WORD * stride) {
+        const uint64_t left = count - word * WORD, m = left < WORD ? left : WORD;
+        uint8_t differs[WORD];
+        if (m == WORD) {
+            load_word(values, stride, left >= WORD + 16, v + 1);
+        } else { /* those that are missing are like the last one */
+            for (uint64_t i = 0; i < m; i++) v[i + 1] = load_value(values + stride * i, stride);
+            for (uint64_t i = m; i < WORD; i++) v[i + 1] = v[m];
         }
-        flags[word] = bits;
+        for (uint32_t i = 0; i < WORD; i++) differs[i] = v[i + 1] != v[i];
+        const uint64_t bits = flags[word] = bits_of(differs);
+        if (bits == UINT64_MAX) {
+            memcpy(changes + 1 + n, v + 1, 4 * WORD);
+            n += WORD;
+        } else if ((uint32_t)__builtin_popcountll(bits) <= FEW) {
+            for (uint64_t b = bits; b != 0; b &= b - 1) changes[++n] = v[1 + (uint32_t)__builtin_ctzll(b)];
+        } else {
+            for (uint64_t i = 0; i < m; i++) {
+                changes[n + 1] = v[i + 1];
+                n += differs[i];
+            }
+        }
+        v[0] = v[WORD];
     }
     return n;
 }
@@ -208,9 +254,10 @@ static uint8_t *store_flags(const uint64_t *flags, uint64_t count, uint8_t *out)
     uint8_t *present = out;
     out += (bytes + 7) / 8;
     for (uint64_t word = 0; word * 64 < count; word++) {
+        const uint64_t bits = flags[word];
         uint32_t any = 0;
-        for (uint32_t i = 0; i < 8; i++) {
-            const uint8_t b = (uint8_t)(flags[word] >> 8 * i);
+        for (uint32_t i = 0; bits != 0 && i < 8; i++) {
+            const uint8_t b = (uint8_t)(bits >> 8 * i);
             *out = b;
             out += b != 0;
             any |= (uint32_t)(b != 0) << i;
