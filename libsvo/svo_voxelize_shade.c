@@ -107,6 +107,13 @@ static void flush_shared(svoi_scan *s)
 {
     svoi_lanes *l = &s->shared;
     if (l->count == 0) return;
+    /* sums of a chunk are more than the nearest caches hold: ask for them while areas are found */
+    const uint32_t fields = s->layout->fields;
+    for (uint32_t i = 0; i < l->count; i++) {
+        const uint64_t *sums = s->sums + (uint64_t)l->target[i] * fields;
+        __builtin_prefetch(sums, 1);
+        __builtin_prefetch(sums + fields - 1, 1);
+    }
     if (s->facet.flat) {
         svoi_lanes_areas(&s->facet, l);
         svoi_lanes_add_flat(s->layout, flat_contribution(s), l, s->shift, s->sums);

@@ -72,3 +72,38 @@ TEST(results_do_not_depend_on_the_batch)
         if (n % 2) CHECK(one.xx[0] == all.xx[n] && one.xy[0] == all.xy[n] && one.yy[0] == all.yy[n]);
     }
 }
+
+static bool same(const float *a, const float *b, uint32_t count) { return memcmp(a, b, count * sizeof *a) == 0; }
+
+TEST(results_do_not_depend_on_the_processor)
+{
+    uint64_t seed = 11;
+    if (!svoi_clip_has_wide()) {
+        printf("        skipped: the processor has one kernel only\n");
+        return;
+    }
+    for (int round = 0; round < 3000; round++) {
+        double v[3][3];
+        const double extent = round % 3 == 0 ? 2 : round % 3 == 1 ? 20 : 120;
+        for (int c = 0; c < 3; c++)
+            for (int k = 0; k < 3; k++) v[c][k] = test_random_unit(&seed) * extent;
+        if (round % 5 == 0) v[1][2] = v[0][2]; /* an edge on a level */
+        if (round % 7 == 0) v[0][2] = v[1][2] = v[2][2] = 0.3;
+        svoi_clipper clipper;
+        if (!svoi_clipper_make(&clipper, (const double(*)[3])v)) continue;
+        const uint32_t count = 1 + (uint32_t)round % SVOI_CLIP_BATCH;
+        svoi_clip_batch narrow, wide;
+        for (uint32_t n = 0; n < count; n++) {
+            narrow.x[n] = floorf((float)(test_random_unit(&seed) * extent));
+            narrow.y[n] = floorf((float)(test_random_unit(&seed) * extent));
+            narrow.z[n] = floorf(clipper.gradient[0] * narrow.x[n] + clipper.gradient[1] * narrow.y[n] + clipper.height);
+        }
+        wide = narrow;
+        const svoi_clip_parts want = (svoi_clip_parts)(round % 3);
+        svoi_clip_narrow(&clipper, &narrow, count, want);
+        svoi_clip_wide(&clipper, &wide, count, want);
+        CHECK(same(narrow.area, wide.area, count));
+        if (want != SVOI_CLIP_AREAS) CHECK(same(narrow.cx, wide.cx, count) && same(narrow.cy, wide.cy, count));
+        if (want == SVOI_CLIP_MOMENTS) CHECK(same(narrow.xx, wide.xx, count) && same(narrow.xy, wide.xy, count) && same(narrow.yy, wide.yy, count));
+    }
+}
