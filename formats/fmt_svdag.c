@@ -15,12 +15,13 @@
 #define ATBL FMT_FOURCC('A', 'T', 'B', 'L')
 #define ADIR FMT_FOURCC('A', 'D', 'I', 'R')
 #define APAY FMT_FOURCC('A', 'P', 'A', 'Y')
+#define ACOR FMT_FOURCC('A', 'C', 'O', 'R')
 
 enum { HEAD_FIXED = 336, RECORD = 48, NODE_HEAD = 4 /* words */ };
-enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2 };
+enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2, FLAG_AVERAGED = 4 };
 enum { CODE_FIXED = 72, CODE_LEVEL = 32, CODE_FULL = 1 }; /* layout 2 */
 
-static const uint32_t known[] = {HEAD, NODE, BRCK, LVLS, CODE, TREE, ARAW, ATBL, ADIR, APAY, FMT_TYPE_META};
+static const uint32_t known[] = {HEAD, NODE, BRCK, LVLS, CODE, TREE, ARAW, ATBL, ADIR, APAY, ACOR, FMT_TYPE_META};
 enum { KNOWN = sizeof known / sizeof known[0] };
 
 /* --- writing ----------------------------------------------------------------------------------------------------- */
@@ -40,7 +41,7 @@ static size_t store_head(const svo_view *v, uint8_t *b)
     b[8] = (uint8_t)v->surface;
     b[9] = (uint8_t)v->fill;
     fmt_store16(b + 10, (uint16_t)v->channel_count);
-    fmt_store32(b + 12, (v->lod ? FLAG_LOD : 0) | (v->unnumbered ? FLAG_UNNUMBERED : 0));
+    fmt_store32(b + 12, (v->lod ? FLAG_LOD : 0) | (v->unnumbered ? FLAG_UNNUMBERED : 0) | (v->averaged ? FLAG_AVERAGED : 0));
     for (int i = 0; i < 16; i++) store_f64(b + 16 + 8 * i, v->voxel_to_world[i]);
     fmt_store64(b + 144, v->attribute_count);
     fmt_store32(b + 152, v->root);
@@ -49,6 +50,7 @@ static size_t store_head(const svo_view *v, uint8_t *b)
         uint8_t *r = b + HEAD_FIXED + RECORD * i;
         fmti_store_channel(&v->channels[i].channel, r);
         fmt_store32(r + 32, (uint32_t)v->channels[i].encoding);
+        fmt_store32(r + 36, (uint32_t)v->channels[i].correction_count);
         if (v->channels[i].encoding >= SVO_ENCODING_BLOCKS) fmt_store64(r + 40, v->channels[i].table_count);
     }
     return HEAD_FIXED + RECORD * (size_t)v->channel_count;
@@ -113,11 +115,15 @@ static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_
 {
     const svo_view_channel *c = &v->channels[i];
     uint32_t stride = svo_channel_stride(c->channel.kind);
-    if (c->encoding == SVO_ENCODING_RAW) return put(w, ARAW, i, v->attribute_count, stride, c->raw, err);
-    if (c->encoding != SVO_ENCODING_BLOCKS && c->encoding != SVO_ENCODING_LONG_BLOCKS) return SVO_OK;
-    SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
-    SVO_TRY(put(w, ADIR, i, c->superblock_count, entry_bytes(c), c->directory, err));
-    return put(w, APAY, i, c->payload_size, 1, c->payload, err);
+    if (c->encoding == SVO_ENCODING_CONSTANT) return SVO_OK;
+    if (c->encoding == SVO_ENCODING_RAW) {
+        SVO_TRY(put(w, ARAW, i, v->attribute_count, stride, c->raw, err));
+    } else {
+        SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
+        SVO_TRY(put(w, ADIR, i, c->superblock_count, entry_bytes(c), c->directory, err));
+        SVO_TRY(put(w, APAY, i, c->payload_size, 1, c->payload, err));
+    }
+    return c->correction_count != 0 ? put(w, ACOR, i, c->correction_count, SVO_CORRECTION, c->corrections, err) : SVO_OK;
 }
 
 static svo_result put_all(fmt_writer *w, const svo_view *v, const char *provenance, svo_error *err)
@@ -187,8 +193,9 @@ static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t 
     if (why != NULL) return bad(r, chunk, why);
     uint32_t encoding = fmt_load32(b + 32);
     c->table_count = fmt_load64(b + 40);
-    if (encoding > SVO_ENCODING_LONG_BLOCKS || fmt_load32(b + 36) != 0) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
+    if (encoding > SVO_ENCODING_LONG_BLOCKS) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
     c->encoding = (svo_encoding)encoding;
+    c->correction_count = fmt_load32(b + 36);
     if (c->channel.constant != (c->encoding == SVO_ENCODING_CONSTANT)) return bad(r, chunk, "constant flag and encoding of a channel disagree (DAG-02)");
     if ((c->encoding >= SVO_ENCODING_BLOCKS) != (c->table_count != 0)) return bad(r, chunk, "table size and encoding of a channel disagree (DAG-02)");
     return SVO_OK;
@@ -204,7 +211,7 @@ static svo_result parse_head(reader *r, svo_view *v)
     uint32_t layout = fmt_load32(b + 4), flags = fmt_load32(b + 12);
     if (layout != SVO_LAYOUT_PLAIN && layout != SVO_LAYOUT_FAST && layout != SVO_LAYOUT_BEST)
         return fmt_chunk_fail(r->err, SVO_UNSUPPORTED, HEAD, chunk->offset + 4, "layout %u is not known; use a newer version (DAG-01)", layout);
-    if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED)) != 0 || fmt_load32(b + 156) != 0) SVO_TRY(go_on(r, bad(r, chunk, "reserved fields are not 0 (DAG-02)")));
+    if ((flags & ~(uint32_t)(FLAG_LOD | FLAG_UNNUMBERED | FLAG_AVERAGED)) != 0 || (flags & (FLAG_LOD | FLAG_AVERAGED)) == FLAG_AVERAGED || fmt_load32(b + 156) != 0) SVO_TRY(go_on(r, bad(r, chunk, "reserved fields are not 0 (DAG-02)")));
     svo_tree_info info;
     bool whole = true;
     memset(&info, 0, sizeof info);
@@ -232,6 +239,7 @@ static svo_result parse_head(reader *r, svo_view *v)
     v->brick_level = v->tree_depth - 2;
     v->layout = (svo_layout)layout;
     v->lod = (flags & FLAG_LOD) != 0;
+    v->averaged = (flags & FLAG_AVERAGED) != 0;
     v->unnumbered = (flags & FLAG_UNNUMBERED) != 0;
     v->root = fmt_load32(b + 152);
     v->attribute_count = fmt_load64(b + 144);
@@ -304,6 +312,16 @@ static svo_result parse_geometry(reader *r, svo_view *v)
     return SVO_OK;
 }
 
+static svo_result parse_corrections(reader *r, svo_view_channel *c, uint32_t i)
+{
+    const fmt_chunk *chunk;
+    if (c->correction_count == 0) return SVO_OK;
+    SVO_TRY(take(r, ACOR, i, SVO_CORRECTION, &chunk, &c->corrections));
+    if (chunk->element_count == c->correction_count) return SVO_OK;
+    r->usable &= ~((uint64_t)1 << i);
+    return go_on(r, bad(r, chunk, "wrong number of corrections (DAG-08)"));
+}
+
 static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
 {
     svo_view_channel *c = &v->channels[i];
@@ -312,9 +330,10 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     if (c->encoding == SVO_ENCODING_CONSTANT) return SVO_OK;
     if (c->encoding == SVO_ENCODING_RAW) {
         SVO_TRY(take(r, ARAW, i, stride, &chunk, &c->raw));
-        if (chunk->element_count == v->attribute_count) return SVO_OK;
+        if (chunk->element_count == v->attribute_count) return parse_corrections(r, c, i);
         r->usable &= ~((uint64_t)1 << i);
-        return go_on(r, bad(r, chunk, "wrong number of values (DAG-08)"));
+        SVO_TRY(go_on(r, bad(r, chunk, "wrong number of values (DAG-08)")));
+        return parse_corrections(r, c, i);
     }
     SVO_TRY(take(r, ATBL, i, stride, &chunk, &c->table));
     if (chunk->element_count != c->table_count) {
@@ -325,7 +344,7 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     c->superblock_count = chunk->element_count;
     SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
     c->payload_size = chunk->stored_size;
-    return SVO_OK;
+    return parse_corrections(r, c, i);
 }
 
 /* Chunks follow each other: where those of a channel are not in their places, nor are those of the next. */

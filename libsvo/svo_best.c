@@ -183,6 +183,7 @@ svo_result svoi_best_open(const svo_view *v, const svo_allocator *a, svoi_best *
     b->dictionary = v->bricks;
     b->block_level = v->brick_level - 1;
     b->lod = v->lod;
+    b->brick_lod = svo_view_brick_lod(v);
     b->numbered = !v->unnumbered;
     b->root_turn = v->root;
     b->attribute_count = v->attribute_count;

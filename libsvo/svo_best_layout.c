@@ -59,7 +59,7 @@ svo_result svoi_layout_best(svo_packed *p, svoi_nodes *levels, svoi_bricks *bric
     const svo_allocator *a = &p->memory.base;
     svo_view *v = &p->view;
     svoi_symdag d;
-    svo_result r = svoi_symdag_make(&d, levels, bricks, v->brick_level, v->root, v->lod, mirrors ? SVOI_MIRRORS : SVOI_ALL, threads, a);
+    svo_result r = svoi_symdag_make(&d, levels, bricks, v->brick_level, v->root, v->lod, svo_view_brick_lod(v), mirrors ? SVOI_MIRRORS : SVOI_ALL, threads, a);
     svoi_best_parts parts;
     if (r == SVO_OK) {
         r = svoi_best_encode(&d, !v->unnumbered, SVOI_BEST_CLASSES, a, &parts, NULL);

@@ -273,7 +273,7 @@ INLINE uint64_t before_brick(const svoi_best *b, const svoi_best_block *block, u
     uint64_t before = b->lod ? 1 : 0;
     for (uint32_t m = mask; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m);
-        if (svoi_turn_octant(symmetry, o) < world) before += block->full >> o & 1 ? 1 : svoi_brick_size(b->lod, block->bits[o]);
+        if (svoi_turn_octant(symmetry, o) < world) before += block->full >> o & 1 ? 1 : svoi_brick_size(b->brick_lod, block->bits[o]);
     }
     return before;
 }
@@ -358,7 +358,7 @@ INLINE bool find_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bo
     *index = 0;
     if (!numbered) return true;
     if (block.full >> stored & 1) *index = attribute;
-    else *index = svoi_turned_voxel(b->lod, block.bits[stored], to_stored, attribute, 8 * octant_at(x, y, z, 1) + octant_at(x, y, z, 0));
+    else *index = svoi_turned_voxel(b->brick_lod, block.bits[stored], to_stored, attribute, 8 * octant_at(x, y, z, 1) + octant_at(x, y, z, 0));
     return true;
 }
 

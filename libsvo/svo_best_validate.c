@@ -66,7 +66,7 @@ static uint64_t block_size(const svoi_best *b, uint32_t mask, const svoi_best_bl
     uint64_t size = b->lod ? 1 : 0;
     for (uint32_t m = mask; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m);
-        size += block->full >> o & 1 ? 1 : svoi_brick_size(b->lod, block->bits[o]);
+        size += block->full >> o & 1 ? 1 : svoi_brick_size(b->brick_lod, block->bits[o]);
     }
     return size;
 }

@@ -52,7 +52,7 @@ struct svo_dag_builder {
 
 svo_dag_options svo_default_dag_options(void)
 {
-    svo_dag_options o = {.lod = true};
+    svo_dag_options o = {.lod = true, .averaged = true};
     return o;
 }
 
@@ -157,7 +157,7 @@ static void blob_free(svo_dag_builder *b, blob *c)
 typedef struct walk {
     const uint8_t *mask;
     uint32_t brick_level, chunk_level;
-    bool lod;
+    bool lod, brick_lod;
     blob *to;
     svo_result result;
 } walk;
@@ -167,7 +167,7 @@ static uint32_t add_brick(walk *w, uint64_t bits, uint64_t *size)
     uint32_t number = 0;
     svo_result r = svoi_bricks_insert(&w->to->bricks, bits, &number);
     if (r != SVO_OK) w->result = r;
-    *size = svoi_brick_size(w->lod, bits);
+    *size = svoi_brick_size(w->brick_lod, bits);
     return number;
 }
 
@@ -216,7 +216,7 @@ static svo_result encode(void *user, const svo_chunk *chunk, uint32_t worker, vo
     c->counts = counts;
     c->bricks.a = b->a;
     for (uint32_t i = 0; i < SVO_CHUNK_LEVELS; i++) c->nodes[i].a = b->a;
-    walk w = {chunk->masks, b->brick_level, b->chunk_level, b->options.lod, c, SVO_OK};
+    walk w = {chunk->masks, b->brick_level, b->chunk_level, b->options.lod, b->options.lod && !b->options.averaged, c, SVO_OK};
     if (c->full) c->size = 1;
     else if (b->info.depth == 0) c->root = add_brick(&w, 1, &c->size);
     else if (b->info.depth == 1) c->root = add_brick(&w, chunk->masks[0], &c->size);
@@ -229,7 +229,7 @@ static svo_result encode(void *user, const svo_chunk *chunk, uint32_t worker, vo
         if (b->info.channels[i].constant) continue;
         c->values[i] = svo_alloc(b->a, c->size, b->values[i].stride);
         r = c->values[i] == NULL ? SVO_OUT_OF_MEMORY
-                                 : svoi_chunk_attributes(chunk, i, b->info.channels[i].kind, b->options.lod,
+                                 : svoi_chunk_attributes(chunk, i, b->info.channels[i].kind, b->options.lod, b->options.averaged,
                                                          b->tree_depth - b->info.depth, c->values[i], &c->sum[i], &c->labels[i]);
     }
     if (r != SVO_OK) {
@@ -401,6 +401,7 @@ static void fill_view(const svo_dag_builder *b, svo_view *v)
     v->brick_level = b->brick_level;
     v->empty = !b->has_previous;
     v->lod = b->options.lod;
+    v->averaged = b->options.lod && b->options.averaged;
     v->attribute_count = b->attributes;
     memcpy(v->nodes, b->counts.nodes, sizeof v->nodes);
     memcpy(v->voxel_to_world, b->info.voxel_to_world, sizeof v->voxel_to_world);
@@ -489,6 +490,7 @@ void svo_packed_free(svo_packed *p)
         svo_buffer_free(&p->table[i]);
         svo_buffer_free(&p->directory[i]);
         svo_buffer_free(&p->payload[i]);
+        svo_buffer_free(&p->corrections[i]);
     }
     const svo_allocator *parent = p->memory.parent;
     svo_free(parent, p, 1, sizeof *p);

@@ -23,6 +23,8 @@ typedef enum svo_geometry {
 typedef struct svo_dag_options {
     svo_geometry geometry;
     bool lod;              /* give inner nodes the averages of what is below */
+    bool averaged;         /* with lod: do not store those of bricks (4x4x4) and their octants, which readers work out from the voxels' values as
+                              they are stored; with a bound, those that would be beyond it are stored as corrections */
     uint32_t color_bits;   /* 0 or 1..16 */
     double color_delta_e;  /* > 0: largest CIE94 difference of any attribute; color_bits must be 0 */
     double color_mean;     /* > 0, with color_delta_e: aim at this mean CIE94 difference, with few bytes */
@@ -42,12 +44,14 @@ typedef struct svo_dag_options {
     void (*phase)(void *user, const char *name);
     void *phase_user;
 } svo_dag_options;
-svo_dag_options svo_default_dag_options(void); /* lod, lossless */
+svo_dag_options svo_default_dag_options(void); /* lod, averaged, lossless */
 
 typedef struct svo_dag_channel_report {
     char name[16];
     uint64_t bytes, distinct_in, distinct_out; /* 0: 2^17 or more, not counted (colours always are) */
-    double error_mean, error_max; /* delta E CIE94 for colours, degrees for normals, value units else; over all attributes */
+    double error_mean, error_max; /* delta E CIE94 for colours, degrees for normals, value units else; over all attributes (of normals by bits that are too many to be listed: those stored) */
+    uint64_t corrections;         /* averaged: those that are stored */
+    uint64_t unused_entries, unused_bytes; /* table entries that no block names, left out; what that saved, narrower indices included */
     bool left_out;                /* turned out constant and stored once */
 } svo_dag_channel_report;
 

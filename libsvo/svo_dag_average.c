@@ -47,6 +47,31 @@ void svoi_sum_value(const svoi_sum *s, svo_channel_kind kind, uint8_t *out)
     }
 }
 
+void svoi_sum_values(svo_channel_kind kind, const uint32_t *values, uint32_t count, svoi_sum *sum)
+{
+    int64_t s[3] = {0, 0, 0}, last[3] = {0, 0, 0};
+    bool uniform = true;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t value = values[i];
+        uniform = uniform && value == values[0];
+        if (kind == SVO_KIND_COLOR_SRGB8) {
+            for (int k = 0; k < 3; k++) s[k] += (int64_t)((double)svo_srgb_to_linear((uint8_t)(value >> 8 * k)) * scale);
+        } else if (kind == SVO_KIND_NORMAL_OCT32) {
+            uint8_t bytes[4];
+            float normal[3];
+            memcpy(bytes, &value, sizeof bytes);
+            if (i == 0 || value != values[i - 1]) {
+                svo_oct32_decode(bytes, normal);
+                for (int k = 0; k < 3; k++) last[k] = (int64_t)llrint((double)normal[k] * scale);
+            }
+            for (int k = 0; k < 3; k++) s[k] += last[k];
+        } else {
+            s[0] += value;
+        }
+    }
+    *sum = (svoi_sum){.s = {s[0], s[1], s[2]}, .n = count, .first = values[0], .uniform = uniform};
+}
+
 /* --- labels --- */
 
 void svoi_labels_free(svoi_labels *l)
@@ -122,6 +147,7 @@ typedef struct walk {
     uint32_t stride;
     const uint8_t *in; /* next finest voxel's value */
     const uint8_t *mask;
+    bool averaged; /* nodes of the lowest two levels have no attributes of their own */
     uint8_t *out; /* next attribute */
     uint32_t last_value; /* cache of the decoded normal */
     int64_t last[3];
@@ -178,17 +204,21 @@ static void sum_full(walk *w, uint32_t height, svoi_sum *sum)
     for (int i = 0; i < 3; i++) sum->s[i] *= (svoi_wide)sum->n;
 }
 
+/* Of an inner node. */
+static bool has_own(const walk *w, uint32_t level) { return !w->averaged || level + 2 < w->c->depth; }
+
 /* Depth is bounded by SVO_CHUNK_LEVELS. */
 static void walk_sums(walk *w, uint32_t level, svoi_sum *sum)
 {
     uint32_t mask = *w->mask++, k = (uint32_t)__builtin_popcount(mask);
     if (mask == 0) {
         sum_full(w, w->c->depth - level, sum);
-        put_full(w, w->c->depth - level, true);
+        put_full(w, w->c->depth - level, !w->averaged);
         return;
     }
     uint8_t *own = w->out;
-    w->out += w->stride;
+    const bool stored = has_own(w, level);
+    if (stored) w->out += w->stride;
     if (level + 1 == w->c->depth) {
         sum_voxels(w, k, sum);
         memcpy(w->out, w->in, (size_t)k * w->stride);
@@ -202,7 +232,7 @@ static void walk_sums(walk *w, uint32_t level, svoi_sum *sum)
             svoi_sum_add(sum, &child);
         }
     }
-    svoi_sum_value(sum, w->kind, own);
+    if (stored) svoi_sum_value(sum, w->kind, own);
 }
 
 /* Leaves the node's list on top of the stack. */
@@ -213,12 +243,13 @@ static void walk_labels(walk *w, uint32_t level)
         uint32_t height = w->c->depth - level;
         if (!labels_reserve(&w->stack, w->stack.count + 1)) w->failed = true;
         else w->stack.label[w->stack.count++] = (svoi_label){(uint64_t)1 << 3 * height, svoi_load_value(w->in, w->stride)};
-        put_full(w, height, true);
+        put_full(w, height, !w->averaged);
         return;
     }
     uint8_t *own = w->out;
     uint64_t begin = w->stack.count;
-    w->out += w->stride;
+    const bool stored = has_own(w, level);
+    if (stored) w->out += w->stride;
     for (uint32_t i = 0; i < k && !w->failed; i++) {
         uint64_t middle = w->stack.count;
         if (level + 1 == w->c->depth) {
@@ -232,7 +263,7 @@ static void walk_labels(walk *w, uint32_t level)
         }
         if (i != 0 && !w->failed && !labels_join(&w->stack, begin, middle, &w->spare)) w->failed = true;
     }
-    if (!w->failed) svoi_labels_value(w->stack.label + begin, w->stack.count - begin, w->kind, own);
+    if (!w->failed && stored) svoi_labels_value(w->stack.label + begin, w->stack.count - begin, w->kind, own);
 }
 
 /* The values alone, in order. */
@@ -259,10 +290,11 @@ static void walk_values(walk *w)
     }
 }
 
-svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, uint32_t virtual_levels,
-                                 uint8_t *out, svoi_sum *sum, svoi_labels *labels)
+svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, bool averaged,
+                                 uint32_t virtual_levels, uint8_t *out, svoi_sum *sum, svoi_labels *labels)
 {
-    walk w = {.c = c, .kind = kind, .stride = svo_channel_stride(kind), .in = c->channels[channel], .mask = c->masks};
+    walk w = {.c = c, .kind = kind, .stride = svo_channel_stride(kind), .in = c->channels[channel], .mask = c->masks, .averaged = averaged};
+    if (averaged) virtual_levels = 0; /* they are the brick, or its first octant */
     w.out = out;
     if (!lod) {
         walk_values(&w);

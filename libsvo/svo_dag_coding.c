@@ -149,6 +149,7 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
     svo_result r = k->algorithm1 ? svo_algorithm1_encode(&job, directory, payload, err) : svo_palette_encode(&job, directory, payload, stats, err);
     if (s->failed) return svo_fail(err, read.code, "%s", read.message);
     svoi_used used = {0};
+    const uint64_t payload_before = payload->size;
     if (r == SVO_OK && !k->algorithm1) r = svoi_palette_drop_unused(c->channel.kind, table_count, directory, payload, &used, &p->memory.base, err);
     if (k->algorithm1) used.count = table_count; /* its palettes name all */
     if (r == SVO_OK && used.count == 0) used.bit[0] = used.count = 1; /* lattices alone: a table has an entry */
@@ -159,6 +160,8 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
         svoi_store_value(to, stride, k->table[i]);
         to += stride;
     }
+    k->report->unused_entries = table_count - used.count;
+    k->report->unused_bytes = k->report->unused_entries * stride + (payload_before - payload->size);
     table_count = used.count;
     svoi_used_free(&used, &p->memory.base);
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(p, "attributes", err);
@@ -174,6 +177,11 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
     return SVO_OK;
 }
 
+static svo_result correct(packing *k, double bound, svo_error *err)
+{
+    return svoi_correct_averages(k->p, k->channel, k->values, bound, k->options->threads, k->report, err);
+}
+
 static void forget_blocks(packing *k)
 {
     svo_view_channel *c = &k->p->view.channels[k->channel];
@@ -182,6 +190,7 @@ static void forget_blocks(packing *k)
     svo_buffer_free(&k->p->payload[k->channel]);
     c->table = c->payload = c->directory = NULL;
     c->table_count = c->superblock_count = c->payload_size = 0;
+    k->report->unused_entries = k->report->unused_bytes = 0;
 }
 
 /* Values are mapped one by one, by a number of bits or not at all, and then stored exactly. */
@@ -205,6 +214,7 @@ static svo_result pack_exactly(packing *k, svo_error *err)
     }
     source s = {k->values, d, q.lossy ? k->mapped : NULL, NULL, false};
     SVO_TRY(encode(k, &s, table_count, (svo_palette_goal){0}, NULL, err));
+    if (q.lossy) SVO_TRY(correct(k, 0, err));
     uint64_t raw = k->values->count * k->values->stride;
     if (k->report->bytes < raw) return SVO_OK;
     forget_blocks(k);
@@ -286,7 +296,7 @@ static svo_result report_within(packing *k, const svo_palette_stats *stats, svo_
     k->report->error_mean = stats->error_sum / (double)k->values->count;
     k->report->error_max = stats->error_max;
     if (stats->error_max > goal.bound) return svo_fail(err, SVO_RUNTIME, "an error of %.9g is above the bound of %.9g", stats->error_max, goal.bound);
-    return SVO_OK;
+    return correct(k, goal.bound, err);
 }
 
 /* Blocks chosen by what they cost, each value within a bound. */
@@ -358,8 +368,8 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
 {
     const svo_allocator *a = &p->memory.base;
     svo_view_channel *c = &p->view.channels[channel];
-    svo_buffer *parts[] = {&p->raw[channel], &p->table[channel], &p->directory[channel], &p->payload[channel]};
-    for (int i = 0; i < 4; i++) svo_buffer_init(parts[i], a);
+    svo_buffer *parts[] = {&p->raw[channel], &p->table[channel], &p->directory[channel], &p->payload[channel], &p->corrections[channel]};
+    for (int i = 0; i < 5; i++) svo_buffer_init(parts[i], a);
     if (c->channel.constant || values->count == 0) { /* an empty octree has no values at all */
         report->distinct_in = report->distinct_out = c->channel.constant ? 1 : 0;
         make_constant(p, channel, svoi_load_value(c->channel.value, svo_channel_stride(c->channel.kind)), report);

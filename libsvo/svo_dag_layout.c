@@ -7,20 +7,20 @@
 static uint32_t offset_words(const svo_view *v, const svoi_nodes *n, const uint64_t *child_size)
 {
     const uint64_t *bricks = v->bricks;
-    bool lod = v->lod;
+    bool brick_lod = svo_view_brick_lod(v);
     if (v->unnumbered) return 0;
     for (uint64_t i = 0; i < n->count; i++) {
         const uint32_t *item = n->items + n->start[i];
         uint32_t last = item[svoi_node_refs(item[0])];
         bool full = item[0] >> 8 > (item[0] & 0xff & ~(item[0] >> 8)); /* the last child is a full leaf */
-        uint64_t size = full ? 1 : child_size != NULL ? child_size[last] : svoi_brick_size(lod, bricks[last]);
+        uint64_t size = full ? 1 : child_size != NULL ? child_size[last] : svoi_brick_size(brick_lod, bricks[last]);
         if (n->size[i] - size > UINT32_MAX) return 2;
     }
     return 1;
 }
 
 static void emit_node(uint32_t *w, const uint32_t *item, uint32_t ow, const uint32_t *child_position, const uint64_t *child_size,
-                      const uint64_t *bricks, bool lod)
+                      const uint64_t *bricks, bool lod, bool brick_lod)
 {
     uint32_t r = svoi_node_refs(item[0]), refs = 0;
     uint64_t offset = lod ? 1 : 0;
@@ -37,7 +37,7 @@ static void emit_node(uint32_t *w, const uint32_t *item, uint32_t ow, const uint
         }
         uint32_t ref = item[1 + refs];
         w[1 + refs++] = child_position != NULL ? child_position[ref] : ref;
-        offset += child_size != NULL ? child_size[ref] : svoi_brick_size(lod, bricks[ref]);
+        offset += child_size != NULL ? child_size[ref] : svoi_brick_size(brick_lod, bricks[ref]);
     }
 }
 
@@ -66,7 +66,7 @@ static svo_result emit_level(svo_packed *p, uint32_t level, const svoi_nodes *n,
     }
     uint32_t *w = (uint32_t *)(void *)p->words[level].data;
     for (uint64_t i = 0; i < n->count; i++)
-        emit_node(w + at[i], n->items + n->start[i], ow, child_position, child_size, bricks, p->view.lod);
+        emit_node(w + at[i], n->items + n->start[i], ow, child_position, child_size, bricks, p->view.lod, svo_view_brick_lod(&p->view));
     p->words[level].size = (size_t)words * 4;
     *l = (svo_view_level){.words = w, .word_count = words, .node_count = n->count, .offset_words = ow};
     *position = at;

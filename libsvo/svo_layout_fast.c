@@ -588,7 +588,7 @@ svo_result svoi_layout_fast(svo_packed *p, svoi_nodes *nodes, svoi_bricks *brick
     svo_buffer_init(&p->bricks, &p->memory.base);
     svo_buffer_init(&p->tree, &p->memory.base);
     v->layout = SVO_LAYOUT_FAST;
-    svo_result r = svoi_symdag_make(d, nodes, bricks, v->brick_level, v->root, v->lod, SVOI_ALL, threads, &p->memory.base);
+    svo_result r = svoi_symdag_make(d, nodes, bricks, v->brick_level, v->root, v->lod, svo_view_brick_lod(v), SVOI_ALL, threads, &p->memory.base);
     if (r == SVO_LIMIT) r = svo_fail(err, r, "a level has more than 2^32 words of distinct nodes");
     else if (r != SVO_OK) r = svoi_no_memory(p, "geometry", err);
     writer w = {.p = p, .a = &p->memory.base, .d = d, .f = &v->fast, .bottom = v->brick_level, .numbered = !v->unnumbered};

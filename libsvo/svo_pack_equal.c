@@ -17,6 +17,8 @@ static int compare_channels(const svo_view *v, const svo_view_channel *a, const 
     if ((c = memcmp(a->channel.value, b->channel.value, sizeof a->channel.value)) != 0) return c;
     COMPARE(a->encoding, b->encoding);
     uint64_t stride = svo_channel_stride(a->channel.kind);
+    COMPARE(a->correction_count, b->correction_count);
+    if ((c = compare_bytes(a->corrections, b->corrections, a->correction_count * SVO_CORRECTION)) != 0) return c;
     if (a->encoding == SVO_ENCODING_RAW) return compare_bytes(a->raw, b->raw, v->attribute_count * stride);
     if (a->encoding != SVO_ENCODING_BLOCKS && a->encoding != SVO_ENCODING_LONG_BLOCKS) return 0;
     uint64_t entry = a->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY;
@@ -36,6 +38,7 @@ static int compare_views(const svo_view *a, const svo_view *b)
     COMPARE(a->attribute_count, b->attribute_count);
     COMPARE(a->channel_count, b->channel_count);
     COMPARE(a->lod, b->lod);
+    COMPARE(a->averaged, b->averaged);
     COMPARE(a->surface, b->surface);
     COMPARE(a->fill, b->fill);
     if ((c = memcmp(a->nodes, b->nodes, sizeof a->nodes)) != 0) return c;

@@ -73,6 +73,9 @@ uint32_t svo_palette_value(const svo_palette *p, uint64_t i);
 /* The same for values index[0 .. count), in any order, several at a time so that memory is waited for once. */
 void svo_palette_values(const svo_palette *p, const uint64_t *index, uint32_t count, uint32_t *values);
 
+/* Values first .. first + count - 1, each block looked up once. */
+void svo_palette_range(const svo_palette *p, uint64_t first, uint32_t count, uint32_t *values);
+
 /* A lattice: `n` steps of `step` from `low` in each component. Colours: Y, Co, Cg of YCoCg-R; normals: the two
  * octahedral coordinates; one component otherwise. */
 typedef struct svo_lattice {

@@ -78,10 +78,10 @@ static inline uint32_t lattice_numbers(svo_channel_kind kind, const uint8_t *dat
     return 64;
 }
 
-/* A lattice of colours: Y (8, 8, 5 bits), Co and Cg (9, 9, 5 bits); docs/format/svdag.md, "Lattices". */
-static uint32_t color_of_lattice(place b, bool runs)
+/* docs/format/svdag.md, "Lattices"; colours: Y (8, 8, 5 bits), Co and Cg (9, 9, 5 bits). */
+static inline svo_lattice color_lattice(const uint8_t *data)
 {
-    uint64_t h = load64(b.data);
+    uint64_t h = load64(data);
     svo_lattice l;
     l.low[0] = (int32_t)(h & 255);
     l.n[0] = (h >> 8 & 255) + 1;
@@ -91,16 +91,37 @@ static uint32_t color_of_lattice(place b, bool runs)
     l.step[1] = (uint32_t)(h >> 39 & 31) + 1;
     l.low[2] = (int32_t)(h >> 44 & 511) - 256;
     l.n[2] = (h >> 53 & 511) + 1;
-    l.step[2] = (uint32_t)((h >> 62 | (uint64_t)b.data[8] << 2) & 31) + 1;
+    l.step[2] = (uint32_t)((h >> 62 | (uint64_t)data[8] << 2) & 31) + 1;
+    return l;
+}
+
+static inline svo_lattice normal_lattice(const uint8_t *data)
+{
+    uint64_t h = load64(data), g = load64(data + 4) >> 7; /* 39 bits each */
+    uint32_t code[2] = {(uint32_t)(h >> 32 & 127), (uint32_t)(g >> 32 & 127)};
+    svo_lattice l = {.low = {(int32_t)(h & 0xffff) - 32768, (int32_t)(g & 0xffff) - 32768, 0}, .n = {(h >> 16 & 0xffff) + 1, (g >> 16 & 0xffff) + 1, 1}};
+    for (int i = 0; i < 2; i++) l.step[i] = (8 + (code[i] & 7)) << (code[i] >> 3) >> 3;
+    return l;
+}
+
+static inline svo_lattice other_lattice(svo_channel_kind kind, const uint8_t *data)
+{
+    uint32_t field = kind == SVO_KIND_UNORM8 ? 8 : kind == SVO_KIND_ID16 ? 16 : 32, low = bits_at(data, 0, field);
+    svo_lattice l = {.n = {(uint64_t)bits_at(data, field, field) + 1, 1, 1}, .step = {1, 1, 1}};
+    memcpy(&l.low[0], &low, sizeof low);
+    if (kind == SVO_KIND_UNORM8) l.step[0] = bits_at(data, 16, 5) + 1;
+    return l;
+}
+
+static uint32_t color_of_lattice(place b, bool runs)
+{
+    svo_lattice l = color_lattice(b.data);
     return svo_lattice_point(SVO_KIND_COLOR_SRGB8, &l, number_of(b, 67, width_of(l.n[0] * l.n[1] * l.n[2]), runs));
 }
 
 static uint32_t normal_of_lattice(place b, bool runs)
 {
-    uint64_t h = load64(b.data), g = load64(b.data + 4) >> 7; /* 39 bits each */
-    uint32_t code[2] = {(uint32_t)(h >> 32 & 127), (uint32_t)(g >> 32 & 127)};
-    svo_lattice l = {.low = {(int32_t)(h & 0xffff) - 32768, (int32_t)(g & 0xffff) - 32768, 0}, .n = {(h >> 16 & 0xffff) + 1, (g >> 16 & 0xffff) + 1, 1}};
-    for (int i = 0; i < 2; i++) l.step[i] = (8 + (code[i] & 7)) << (code[i] >> 3) >> 3;
+    svo_lattice l = normal_lattice(b.data);
     return svo_lattice_point(SVO_KIND_NORMAL_OCT32, &l, number_of(b, 78, width_of(l.n[0] * l.n[1]), runs));
 }
 
@@ -108,11 +129,9 @@ static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
 {
     if (kind == SVO_KIND_COLOR_SRGB8) return color_of_lattice(b, runs);
     if (kind == SVO_KIND_NORMAL_OCT32) return normal_of_lattice(b, runs);
-    uint32_t field = kind == SVO_KIND_UNORM8 ? 8 : kind == SVO_KIND_ID16 ? 16 : 32, low = bits_at(b.data, 0, field);
-    svo_lattice l = {.n = {(uint64_t)bits_at(b.data, field, field) + 1, 1, 1}, .step = {1, 1, 1}};
-    memcpy(&l.low[0], &low, sizeof low);
-    if (kind == SVO_KIND_UNORM8) l.step[0] = bits_at(b.data, 16, 5) + 1;
-    return svo_lattice_point(kind, &l, number_of(b, 2 * field + (kind == SVO_KIND_UNORM8 ? 5 : 0), width_of(l.n[0]), runs));
+    uint32_t width, at = lattice_numbers(kind, b.data, &width);
+    svo_lattice l = other_lattice(kind, b.data);
+    return svo_lattice_point(kind, &l, number_of(b, at, width, runs));
 }
 
 /* Where a value is: first its superblock and block, then the block's header, then its data. Each step reads what the one before has named, which
@@ -239,5 +258,81 @@ void svo_palette_values(const svo_palette *p, const uint64_t *index, uint32_t co
             if (f[k].mode == SVO_BLOCK_BOX || f[k].mode == SVO_BLOCK_BOX_RUNS) ask_points(p->kind, &f[k]);
         for (uint32_t k = 0; k < n; k++) values[k] = read_data(p, &f[k]);
         index += n, values += n, count -= n;
+    }
+}
+
+/* Numbers of `count` values from b.j on. */
+static void numbers_of(place b, uint32_t at, uint32_t width, bool runs, uint32_t count, uint32_t *numbers)
+{
+    uint32_t nth = b.j;
+    if (!runs) {
+        for (uint32_t i = 0; i < count; i++) numbers[i] = bits_at(b.data, at + nth++ * width, width);
+        return;
+    }
+    const uint32_t flags = at + b.j;
+    nth = rank_of(b.data, at, b.j);
+    at += b.length;
+    numbers[0] = bits_at(b.data, at + nth * width, width);
+    for (uint32_t i = 1; i < count; i++) {
+        const uint32_t bit = flags + i;
+        numbers[i] = b.data[bit / 8] >> bit % 8 & 1 ? bits_at(b.data, at + ++nth * width, width) : numbers[i - 1];
+    }
+}
+
+/* `count` values of one block, each different neighbour's work done once. */
+static void read_some(const svo_palette *p, const search *f, uint32_t count, uint32_t *values)
+{
+    const uint32_t b = svo_palette_table_bits(p->table_count), mode = f->mode;
+    const uint8_t *data = f->data;
+    place at = {data, f->j - f->begin * SVO_GRANULE, (f->end - f->begin) * SVO_GRANULE};
+    if (mode <= SVO_BLOCK_ONE_WIDE) {
+        const uint32_t value = read_data(p, f);
+        for (uint32_t i = 0; i < count; i++) values[i] = value;
+        return;
+    }
+    uint32_t ends[2] = {0, 0}, most = 0, entries = 0;
+    svo_lattice l = {.bits = 0};
+    if (mode >= SVO_BLOCK_PALETTE_RUNS) {
+        entries = 8;
+        numbers_of(at, 8 + (data[0] + 1u) * b, mode - SVO_BLOCK_PALETTE_RUNS + 2, true, count, values);
+    } else if (mode >= SVO_BLOCK_PALETTE) {
+        const uint32_t width = mode - SVO_BLOCK_PALETTE + 1;
+        entries = at.length * width;
+        numbers_of(at, 0, width, false, count, values);
+    } else if (mode >= SVO_BLOCK_LINE) {
+        const bool runs = mode >= SVO_BLOCK_LINE_RUNS;
+        const uint32_t width = mode - (runs ? SVO_BLOCK_LINE_RUNS : SVO_BLOCK_LINE) + 2;
+        ends[0] = table_value(p, bits_at(data, 0, b)), ends[1] = table_value(p, bits_at(data, b, b));
+        most = (1u << width) - 1;
+        numbers_of(at, 2 * b, width, runs, count, values);
+    } else if (mode >= SVO_BLOCK_BOX) {
+        uint32_t width, first = lattice_numbers(p->kind, data, &width);
+        l = p->kind == SVO_KIND_COLOR_SRGB8 ? color_lattice(data) : p->kind == SVO_KIND_NORMAL_OCT32 ? normal_lattice(data) : other_lattice(p->kind, data);
+        numbers_of(at, first, width, mode == SVO_BLOCK_BOX_RUNS, count, values);
+    } else {
+        numbers_of(at, 0, b, false, count, values);
+    }
+    uint32_t last = 0, value = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t number = values[i];
+        if (i == 0 || number != last) {
+            last = number;
+            if (mode >= SVO_BLOCK_PALETTE) value = table_value(p, bits_at(data, entries + number * b, b));
+            else if (mode >= SVO_BLOCK_LINE) value = svo_line_point(p->kind, ends[0], ends[1], number, most);
+            else if (mode >= SVO_BLOCK_BOX) value = svo_lattice_point(p->kind, &l, number);
+            else value = table_value(p, number);
+        }
+        values[i] = value;
+    }
+}
+
+void svo_palette_range(const svo_palette *p, uint64_t first, uint32_t count, uint32_t *values)
+{
+    while (count != 0) {
+        search f = find_block(p, first);
+        const uint32_t rest = f.end * SVO_GRANULE - f.j, n = count < rest ? count : rest;
+        find_data(&f);
+        read_some(p, &f, n, values);
+        first += n, values += n, count -= n;
     }
 }

@@ -440,7 +440,7 @@ uint64_t svoi_ray_attribute(const svo_view *v, svoi_ray_cache *c, const place *a
         for (; level < v->brick_level && level < at->tree_level; level++, bit--)
             node = svo_view_child(v, level, node, (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2);
     }
-    if (at->tree_level <= v->brick_level) return node.attribute;
+    if (at->tree_level <= v->brick_level) return svo_view_node_attribute(v, at->tree_level, node);
     uint64_t brick = svo_view_brick(v, node);
     uint32_t a = (x >> 1 & 1) | (y >> 1 & 1) << 1 | (z >> 1 & 1) << 2, b = (x & 1) | (y & 1) << 1 | (z & 1) << 2;
     if (at->tree_level == v->tree_depth) return svo_view_brick_voxel(v, node, brick, 8 * a + b);

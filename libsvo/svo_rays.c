@@ -53,7 +53,7 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, const svoi_r
         return svoi_ray_attribute(r->view, cache, &place);
     }
     if (r->before[unit] & 1) return base; /* a full leaf: all that is inside has its attribute */
-    const bool lod = r->view->lod;
+    const bool brick_lod = svo_view_brick_lod(r->view), averaged = r->view->averaged;
     const uint32_t above = edge_of(r, state), s = r->fraction + (above & ~1u);
     const uint64_t mask = r->units[unit];
     uint32_t cell = ((uint32_t)at[0] >> s & 3) | ((uint32_t)at[1] >> s & 3) << 2 | ((uint32_t)at[2] >> s & 3) << 4;
@@ -64,13 +64,15 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, const svoi_r
         blocks |= blocks >> 4;
         blocks |= blocks >> 16;
         uint32_t number = base + (uint32_t)__builtin_popcountll(mask & r->earlier[cell]);
-        if (lod) number += 2 - block + (uint32_t)__builtin_popcountll(blocks & 0x0000050500000505u & r->earlier[cell & 42]);
-        return number;
+        if (brick_lod) number += 2 - block + (uint32_t)__builtin_popcountll(blocks & 0x0000050500000505u & r->earlier[cell & 42]);
+        return block && averaged ? svo_average_of(number, (uint32_t)__builtin_popcountll(mask >> cell & 0x330033)) : number;
     }
     uint32_t first = cell; /* of the block: in depth-first order, its own number being the one before */
     while (block && !(mask >> first & 1)) first += first & 1 ? first & 4 ? 16 - 5 : 3 : 1;
     uint64_t child = (uint32_t)r->units[unit + 1], rank = (uint64_t)__builtin_popcountll(mask & (((uint64_t)1 << first) - 1));
-    uint32_t before = r->before[child + (s == r->fraction + 2 ? rank : 2 * rank)];
+    const bool brick = s == r->fraction + 2;
+    uint32_t before = r->before[child + (brick ? rank : 2 * rank)];
+    if (averaged && brick && !block && !(before & 1)) return svo_average_of(base + (before >> 1), (uint32_t)__builtin_popcountll(r->units[child + rank]));
     if (block && (before & 1)) { /* perhaps the block is a full leaf */
         place = place_of(r, b, j);
         return svoi_ray_attribute(r->view, cache, &place);

@@ -37,13 +37,15 @@ static void read_values(const svo_view *v, uint32_t channel, lookup *l)
 {
     const svo_view_channel *c = &v->channels[channel];
     const uint32_t stride = svo_channel_stride(c->channel.kind);
-    if (c->encoding == SVO_ENCODING_BLOCKS) {
+    uint64_t any = 0;
+    for (uint32_t i = 0; i < l->count; i++) any |= l->index[i];
+    if (c->encoding == SVO_ENCODING_BLOCKS && any >> SVO_AVERAGE_SHIFT == 0) {
         svo_palette p = svo_view_palette(v, channel);
         svo_palette_values(&p, l->index, l->count, l->value);
         return;
     }
     if (c->encoding == SVO_ENCODING_RAW)
-        for (uint32_t i = 0; i < l->count; i++) __builtin_prefetch(c->raw + l->index[i] * stride);
+        for (uint32_t i = 0; i < l->count; i++) __builtin_prefetch(c->raw + svo_average_first(l->index[i]) * stride);
     for (uint32_t i = 0; i < l->count; i++) {
         uint8_t value[SVO_MAX_STRIDE];
         svo_view_attribute(v, channel, l->index[i], value);

@@ -83,7 +83,7 @@ uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8]
             if (!at_surface(c)) continue;
         } else if (octant_of_brick) { /* voxels: with lod the octant's own attribute comes first */
             uint32_t before = (uint32_t)__builtin_popcount((uint32_t)n->node.at & ((1u << octant) - 1));
-            c->node.attribute = v->unnumbered ? 0 : n->node.attribute + (v->lod ? 1 : 0) + before;
+            c->node.attribute = v->unnumbered ? 0 : svo_average_first(n->node.attribute) + (svo_view_brick_lod(v) ? 1 : 0) + before;
         } else if (inner) {
             c->node = svo_view_child(v, n->level, n->node, octant);
             if (c->node.full) c->full_level = c->level;
@@ -102,7 +102,8 @@ static double edge_of(const svoi_posed *p, const svoi_visit *n) { return ldexp(1
 
 static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, const double low[3], const double high[3], svoi_output *out)
 {
-    svo_selected b = {.instance = (uint32_t)p->instance, .attribute = n->node.attribute};
+    const uint64_t attribute = p->view->depth >= 2 ? svo_view_node_attribute(p->view, n->level, n->node) : n->node.attribute;
+    svo_selected b = {.instance = (uint32_t)p->instance, .attribute = attribute};
     for (int k = 0; k < 3; k++) {
         b.low[k] = (float)low[k], b.high[k] = (float)high[k];
         if (b.low[k] > low[k]) b.low[k] = nextafterf(b.low[k], -INFINITY);
@@ -114,7 +115,7 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
         uint8_t value[SVO_MAX_STRIDE];
         float f[3];
         double edge = edge_of(p, n);
-        svo_view_attribute(p->view, channel, n->node.attribute, value);
+        svo_view_attribute(p->view, channel, attribute, value);
         svo_oct32_decode(value, f);
         svo_bone_list list = p->bones != NULL ? svo_bones_at(p->bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
         svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};

@@ -401,10 +401,10 @@ static svo_result merge_level(merge *m, uint32_t threads)
     return r;
 }
 
-svo_result svoi_symdag_make(svoi_symdag *d, svoi_nodes *nodes, svoi_bricks *bricks, uint32_t brick_level, uint32_t root, bool lod,
+svo_result svoi_symdag_make(svoi_symdag *d, svoi_nodes *nodes, svoi_bricks *bricks, uint32_t brick_level, uint32_t root, bool lod, bool brick_lod,
                             svoi_group group, uint32_t threads, const svo_allocator *a)
 {
-    *d = (svoi_symdag){.a = a, .group = group, .lod = lod, .brick_level = brick_level};
+    *d = (svoi_symdag){.a = a, .group = group, .lod = lod, .brick_lod = brick_lod, .brick_level = brick_level};
     moved map[2] = {0};
     merge m = {.d = d, .level = brick_level, .bricks = bricks, .a = a, .out = &map[0]};
     masks_to_least(group, m.to_least);

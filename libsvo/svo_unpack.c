@@ -119,7 +119,12 @@ static uint64_t collect_masks(const svo_view *v, uint32_t level, svo_view_node r
 static void read_values(const svo_view *v, uint32_t channel, uint64_t first, uint64_t count, uint8_t *to)
 {
     uint32_t stride = svo_channel_stride(v->channels[channel].channel.kind);
-    for (uint64_t i = 0; i < count; i++) svo_view_attribute(v, channel, first + i, to + i * stride);
+    uint32_t values[64];
+    for (uint64_t done = 0; done < count; done += 64) {
+        const uint32_t n = count - done < 64 ? (uint32_t)(count - done) : 64;
+        svo_view_values(v, channel, first + done, n, values);
+        for (uint32_t i = 0; i < n; i++, to += stride) memcpy(to, &values[i], stride);
+    }
 }
 
 /* Values of all finest voxels and full leaves below a chunk root whose attribute index is `index`. The index grows by one for every
@@ -132,7 +137,7 @@ static void collect_values(const svo_view *v, uint32_t channel, uint32_t levels,
     uint32_t l = 0;
     for (uint64_t i = 0; i < mask_count; i++) {
         uint32_t k = (uint32_t)__builtin_popcount(masks[i]);
-        if (v->lod && k != 0) index++;
+        if (v->lod && k != 0 && (!v->averaged || l + 2 < levels)) index++;
         if (k == 0) k = 1; /* a full leaf: its index is that of its value */
         else if (l + 1 < levels) {
             left[l++] = (uint8_t)k;
@@ -162,7 +167,7 @@ static svo_result decode(void *user, const svo_buffer *packed, svo_buffer *stora
         c.value_count = 1;
     } else if (v->depth == 1) { /* the octree is the brick's first octant */
         storage->data[0] = (uint8_t)svo_view_brick(v, p.node);
-        index = svo_view_brick_octant(v, p.node, svo_view_brick(v, p.node), 0);
+        index = svo_average_first(svo_view_brick_octant(v, p.node, svo_view_brick(v, p.node), 0));
         c.node_count = 1;
     } else {
         c.node_count = collect_masks(v, level, p.node, storage->data);

@@ -4,6 +4,7 @@
 
 #include "svo_morton.h"
 #include "svo_algorithm1.h"
+#include "svoi_view.h"
 
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "files are mapped and used in place: little-endian hosts only");
 
@@ -18,7 +19,12 @@ void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uin
 {
     const svo_view_channel *c = &v->channels[channel];
     uint32_t stride = svo_channel_stride(c->channel.kind);
-    SVO_ASSERT(channel < v->channel_count && (index < v->attribute_count || v->unnumbered));
+    if (index >> SVO_AVERAGE_SHIFT != 0 && !v->unnumbered && c->encoding != SVO_ENCODING_CONSTANT) {
+        uint32_t value = svoi_view_average(v, channel, index);
+        memcpy(out, &value, stride);
+        return;
+    }
+    SVO_ASSERT(channel < v->channel_count && (svo_average_first(index) < v->attribute_count || v->unnumbered));
     switch (c->encoding) {
     case SVO_ENCODING_CONSTANT: memcpy(out, c->channel.value, stride); break;
     case SVO_ENCODING_RAW: memcpy(out, c->raw + index * stride, stride); break;

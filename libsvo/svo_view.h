@@ -22,7 +22,11 @@
  * prefix sums over them do in any order.) With lod, every node counts: a node at index i has its first child at i + 1.
  * Without, only finest voxels count and the first child is at i. The offset of a later child is its index minus its
  * parent's. Inside a brick the same rule holds (brick, octant, voxels) and the offsets follow from bit counts:
- * svo_brick_octant, svo_brick_voxel. Where no channel varies, nothing is numbered and no index means anything. */
+ * svo_brick_octant, svo_brick_voxel. Where no channel varies, nothing is numbered and no index means anything.
+ *
+ * Averaged views (lod, but cheaper): bricks and their octants have no entries; what they have are the averages of their finest
+ * voxels' values, which lie one behind another. The attribute of such a node is the index of its first voxel with the number of
+ * voxels less 1 above it (svo_average_of), so that a node's attribute is one number in all views: svo_view_attribute takes it. */
 #ifndef SVO_VIEW_H
 #define SVO_VIEW_H
 
@@ -88,6 +92,9 @@ typedef struct svo_view_channel {
     uint64_t superblock_count; /* long blocks: blocks */
     const uint8_t *payload;
     uint64_t payload_size;
+    /* averaged views: averages that are stored, since those of the values as they are read are not within the channel's bound */
+    const uint8_t *corrections; /* SVO_CORRECTION bytes each: u64 first voxel * 64 + voxels - 1, ascending; u32 value */
+    uint64_t correction_count;
 } svo_view_channel;
 
 typedef struct svo_view {
@@ -96,6 +103,7 @@ typedef struct svo_view {
     uint32_t brick_level; /* T - 2 */
     bool empty;           /* no voxel: everything below is zero */
     bool lod;             /* inner nodes have attributes */
+    bool averaged;        /* with lod: those of bricks and of their octants are averages that are worked out */
     bool unnumbered;      /* no channel varies, so that attributes have no numbers: every index is 0 */
     svo_layout layout;
     /* layout plain */
@@ -193,6 +201,15 @@ static inline uint64_t svo_view_brick(const svo_view *v, svo_view_node node)
     return v->layout == SVO_LAYOUT_PLAIN ? v->bricks[node.at] : node.at;
 }
 
+/* Attributes of nodes without an entry: the average of `voxels` (1 to 64) values from index `first` on. Of one voxel, that is its own. */
+enum { SVO_AVERAGE_SHIFT = 58, SVO_CORRECTION = 12 };
+static inline uint64_t svo_average_of(uint64_t first, uint32_t voxels) { return first | (uint64_t)(voxels - 1) << SVO_AVERAGE_SHIFT; }
+static inline uint64_t svo_average_first(uint64_t attribute) { return attribute & (((uint64_t)1 << SVO_AVERAGE_SHIFT) - 1); }
+static inline uint32_t svo_average_voxels(uint64_t attribute) { return (uint32_t)(attribute >> SVO_AVERAGE_SHIFT) + 1; }
+
+/* Have bricks and their octants entries of their own? The `lod` of the functions that count inside bricks. */
+static inline bool svo_view_brick_lod(const svo_view *v) { return v->lod && !v->averaged; }
+
 /* Bit 8a set for every octant a of the brick that is not empty. */
 static inline uint64_t svo_brick_octants(uint64_t brick)
 {
@@ -225,11 +242,19 @@ static inline uint64_t svo_brick_voxel(bool lod, uint64_t brick, uint64_t i, uin
 /* The same for a node at brick_level and the brick it holds, whatever the numbering. */
 static inline uint64_t svo_view_brick_octant(const svo_view *v, svo_view_node node, uint64_t brick, uint32_t a)
 {
-    return node.full || v->unnumbered ? node.attribute : svo_brick_octant(v->lod, brick, node.attribute, a);
+    if (node.full || v->unnumbered) return node.attribute;
+    uint64_t i = svo_brick_octant(svo_view_brick_lod(v), brick, node.attribute, a);
+    return v->averaged ? svo_average_of(i, (uint32_t)__builtin_popcountll(brick >> 8 * a & 0xff)) : i;
 }
 static inline uint64_t svo_view_brick_voxel(const svo_view *v, svo_view_node node, uint64_t brick, uint32_t b)
 {
-    return node.full || v->unnumbered ? node.attribute : svo_brick_voxel(v->lod, brick, node.attribute, b);
+    return node.full || v->unnumbered ? node.attribute : svo_brick_voxel(svo_view_brick_lod(v), brick, node.attribute, b);
+}
+/* The attribute of a node of any level up to brick_level, as svo_view_attribute takes it. */
+static inline uint64_t svo_view_node_attribute(const svo_view *v, uint32_t level, svo_view_node node)
+{
+    if (level != v->brick_level || !v->averaged || node.full || v->unnumbered) return node.attribute;
+    return svo_average_of(node.attribute, (uint32_t)__builtin_popcountll(svo_view_brick(v, node)));
 }
 
 /* Nodes (bricks) of a level 0..brick_level as they are stored. */
@@ -270,8 +295,15 @@ void svo_view_release(svo_view *v, const svo_allocator *a);
  * results are the same. svo_view_release frees them. Opened files and built octrees have them. */
 void svo_view_accelerate(svo_view *v, const svo_allocator *a);
 
-/* Decoded value (stride bytes) of a channel at an attribute index < attribute_count. Constant time. */
+/* Decoded value (stride bytes) of a channel at an attribute index < attribute_count, or of an average. Constant time. */
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out);
+/* Values (as numbers) of the indices first .. first + count - 1, all < attribute_count: faster than one by one. */
+void svo_view_values(const svo_view *v, uint32_t channel, uint64_t first, uint32_t count, uint32_t *values);
+
+/* Averaged views: the attributes of the bricks and octants below a node of `level` that are averages of two voxels or more, each
+ * different set of voxels once (a brick whose voxels are in one octant: of both), in order of their first voxel, then of their size. */
+typedef bool (*svo_view_average_fn)(void *user, uint64_t attribute);
+bool svo_view_averages(const svo_view *v, uint32_t level, svo_view_node node, svo_view_average_fn fn, void *user); /* false: stopped */
 
 /* The blocks of a channel with SVO_ENCODING_BLOCKS or SVO_ENCODING_LONG_BLOCKS. */
 svo_palette svo_view_palette(const svo_view *v, uint32_t channel);

@@ -83,7 +83,7 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
     brick = svoi_fast_brick(v, &k, svoi_fast_slot(k.refs, stored), &change);
     turn = svoi_turn_after(change, turn);
     if (!(brick >> (8 * svoi_turn_octant(turn, b >> 3) + svoi_turn_octant(turn, b & 7)) & 1)) return false;
-    if (count) *index = svoi_turned_voxel(v->lod, brick, turn, attribute, b);
+    if (count) *index = svoi_turned_voxel(svo_view_brick_lod(v), brick, turn, attribute, b);
     else if (index != NULL) *index = 0;
     return true;
 full:

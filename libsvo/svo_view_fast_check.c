@@ -135,7 +135,7 @@ static svo_result check_block(check *c, uint64_t *p, uint64_t *size)
             if (id >= v->brick_count || code >> ids >= SVOI_TURNS) return bad(c, "DAG-20", level, begin, "a code names no brick");
             c->seen[id / 64] |= (uint64_t)1 << id % 64;
         }
-        *size += svoi_brick_size(v->lod, svoi_fast_brick(v, &b, k, &turn));
+        *size += svoi_brick_size(svo_view_brick_lod(v), svoi_fast_brick(v, &b, k, &turn));
     }
     *p = svoi_fast_block_end(v, &b);
     c->stored[level]++;

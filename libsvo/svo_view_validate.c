@@ -125,7 +125,7 @@ static svo_result check_level(validate *c, uint32_t level, bool *whole)
                 *whole = false;
                 continue;
             }
-            size += above_bricks ? brick_size(v->lod, v->bricks[ref]) : below[number(c, level + 1, ref)];
+            size += above_bricks ? brick_size(svo_view_brick_lod(v), v->bricks[ref]) : below[number(c, level + 1, ref)];
         }
         c->size[own][i] = size;
         w += 1 + r + ((uint32_t)__builtin_popcount(mask) - 1) * (uint64_t)l->offset_words;
@@ -196,7 +196,7 @@ static svo_result check_geometry(validate *c)
     uint64_t total;
     if (v->brick_level == 0) {
         if (v->root >= v->brick_count) return bad(c, "DAG-05", 0, v->root, "the root is no brick");
-        total = brick_size(v->lod, v->bricks[v->root]);
+        total = brick_size(svo_view_brick_lod(v), v->bricks[v->root]);
     } else {
         if (!is_start(c, 0, v->root)) return bad(c, "DAG-05", 0, v->root, "the root is no node");
         total = c->size[0][number(c, 0, v->root)];
@@ -213,6 +213,30 @@ static svo_result check_normals(validate *c, uint32_t channel, const uint8_t *va
     return SVO_OK;
 }
 
+static svo_result check_corrections(validate *c, uint32_t i)
+{
+    const svo_view *v = c->v;
+    const svo_view_channel *ch = &v->channels[i];
+    const uint32_t stride = svo_channel_stride(ch->channel.kind);
+    uint64_t last = 0;
+    if (ch->correction_count != 0 && (!v->averaged || ch->encoding == SVO_ENCODING_CONSTANT)) return bad(c, "DAG-22", i, 0, "corrections of a channel without averages");
+    for (uint64_t k = 0; k < ch->correction_count; k++) {
+        const uint8_t *p = ch->corrections + k * SVO_CORRECTION;
+        uint64_t key, voxels;
+        uint32_t value;
+        memcpy(&key, p, sizeof key);
+        memcpy(&value, p + 8, sizeof value);
+        voxels = (key & 63) + 1;
+        if ((k != 0 && key <= last) || voxels < 2 || key >> 6 >= v->attribute_count || voxels > v->attribute_count - (key >> 6))
+            SVO_TRY(go_on(c, bad(c, "DAG-22", i, k, "corrections are not ascending, or one is of values that are not there")));
+        if (stride < 4 && value >> 8 * stride != 0) SVO_TRY(go_on(c, bad(c, "DAG-22", i, k, "unused bytes of a correction are not 0")));
+        if (ch->channel.kind == SVO_KIND_NORMAL_OCT32 && ((value & 0xffff) == 0x8000 || value >> 16 == 0x8000))
+            SVO_TRY(go_on(c, bad(c, "DAG-10", i, k, "a normal holds -32768")));
+        last = key;
+    }
+    return SVO_OK;
+}
+
 static svo_result check_channel(validate *c, uint32_t i)
 {
     const svo_view *v = c->v;
@@ -221,6 +245,7 @@ static svo_result check_channel(validate *c, uint32_t i)
     bool normals = ch->channel.kind == SVO_KIND_NORMAL_OCT32;
     svo_palette p;
     if (stride == 0) return bad(c, "DAG-02", i, 0, "unknown kind of channel");
+    SVO_TRY(check_corrections(c, i));
     switch (ch->encoding) {
     case SVO_ENCODING_CONSTANT: return normals ? check_normals(c, i, ch->channel.value, 1) : SVO_OK;
     case SVO_ENCODING_RAW: return normals ? check_normals(c, i, ch->raw, v->attribute_count) : SVO_OK;
@@ -250,6 +275,8 @@ svo_result svo_view_violations(const svo_view *v, const svo_allocator *a, uint64
         return svo_fail(err, SVO_INVALID_ARGUMENT, "svo_view_prepare comes before svo_view_validate");
     for (uint32_t i = 0; i < v->channel_count && v->unnumbered; i++)
         if (v->channels[i].encoding != SVO_ENCODING_CONSTANT) SVO_TRY(go_on(&c, bad(&c, "DAG-06", 0, i, "a channel varies, but attributes are not numbered")));
+    if (v->averaged && !v->lod) SVO_TRY(go_on(&c, bad(&c, "DAG-02", 0, 0, "averages without attributes of inner nodes")));
+    if (v->averaged && !v->unnumbered && v->attribute_count >> SVO_AVERAGE_SHIFT != 0) return bad(&c, "DAG-22", 0, v->attribute_count, "too many attributes for averages");
     if (v->empty) {
         bool zero = v->attribute_count == 0 && v->brick_count == 0 && v->root == 0 && v->layout == SVO_LAYOUT_PLAIN;
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) zero = zero && v->nodes[l] == 0;

@@ -71,7 +71,7 @@ typedef struct svoi_best {
     const svoi_best_level *level;
     const uint64_t *dictionary;
     uint32_t block_level; /* T - 3 */
-    bool lod, numbered, solid; /* solid: nodes may have full leaves */
+    bool lod, brick_lod, numbered, solid; /* brick_lod: inside bricks too; solid: nodes may have full leaves */
     uint32_t root_turn, classes;
     uint64_t attribute_count;
     uint32_t class_first[SVOI_CLASSES]; /* in the dictionary */

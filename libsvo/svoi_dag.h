@@ -81,9 +81,13 @@ void svoi_sum_value(const svoi_sum *s, svo_channel_kind kind, uint8_t *out);
 void svoi_labels_value(const svoi_label *l, uint64_t count, svo_channel_kind kind, uint8_t *out);
 
 /* One channel of one chunk: all attributes in stored order (svo_dag.h: with `virtual_levels` copies of the root's in
- * front), and the sum or labels of the whole chunk for the levels above. Without lod only the values are copied. */
-svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, uint32_t virtual_levels,
-                                 uint8_t *out, svoi_sum *sum, svoi_labels *labels);
+ * front), and the sum or labels of the whole chunk for the levels above. Without lod only the values are copied; averaged: the
+ * lowest two levels of inner nodes have no attributes. */
+svo_result svoi_chunk_attributes(const svo_chunk *c, uint32_t channel, svo_channel_kind kind, bool lod, bool averaged,
+                                 uint32_t virtual_levels, uint8_t *out, svoi_sum *sum, svoi_labels *labels);
+/* The average of 1 to 64 values (numbers), as a number. */
+void svoi_sum_values(svo_channel_kind kind, const uint32_t *values, uint32_t count, svoi_sum *sum); /* colours, normals, unorms */
+uint32_t svoi_average(svo_channel_kind kind, const uint32_t *values, uint32_t count);
 
 /* --- attribute streams ------------------------------------------------------------------------------------------- */
 
@@ -164,7 +168,7 @@ struct svo_packed {
     svo_limit_allocator memory; /* everything below is charged to it; the struct itself comes from its parent */
     svo_view view;
     svo_buffer words[SVO_MAX_DEPTH], tree, bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
-        payload[SVO_MAX_CHANNELS];
+        payload[SVO_MAX_CHANNELS], corrections[SVO_MAX_CHANNELS];
     svo_buffer best_stream, best_levels, best_codes; /* layout best */
 };
 
@@ -180,6 +184,11 @@ svo_result svoi_layout_fast(svo_packed *p, svoi_nodes *nodes, svoi_bricks *brick
 /* Quantise and encode one channel into the packed view; frees the values. */
 svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *values, const svo_dag_options *options,
                              svo_dag_channel_report *report, svo_error *err);
+
+/* Averaged views: once the channel's blocks are there, compare the averages of them with those of `values` (exact), add what they differ to the
+ * report, and with a bound (> 0) store those that are beyond it. */
+svo_result svoi_correct_averages(svo_packed *p, uint32_t channel, const svoi_values *values, double bound, uint32_t threads,
+                                 svo_dag_channel_report *report, svo_error *err);
 
 /* SVO_LIMIT when a limit was asked for, else SVO_OUT_OF_MEMORY, with a message. */
 svo_result svoi_no_memory(const svo_packed *p, const char *what, svo_error *err);

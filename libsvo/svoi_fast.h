@@ -177,7 +177,7 @@ static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_
             uint32_t slot = (uint32_t)__builtin_popcount(b->refs & ((m & (0u - m)) - 1)), tag = b->tags >> 2 * slot & 3;
             uint64_t p = b->codes + (at >> 8 * slot & 255);
             uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
-            size += svoi_brick_size(v->lod, brick);
+            size += svoi_brick_size(svo_view_brick_lod(v), brick);
         }
         return size;
     }
@@ -186,7 +186,7 @@ static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_
         uint32_t tag = tags & 3;
         if (which & left & (0u - left)) {
             uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
-            size += svoi_brick_size(v->lod, brick);
+            size += svoi_brick_size(svo_view_brick_lod(v), brick);
         }
         p += width[tag];
     }

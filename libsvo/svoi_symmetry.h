@@ -99,7 +99,7 @@ typedef struct svoi_symlevel {
 typedef struct svoi_symdag {
     const svo_allocator *a;
     svoi_group group;
-    bool lod;
+    bool lod, brick_lod; /* attributes of inner nodes: above bricks, of bricks and inside */
     uint32_t brick_level;
     uint32_t root, root_turn; /* the octree is root_turn applied to the stored root */
     svoi_symlevel level[SVO_MAX_DEPTH];
@@ -120,13 +120,13 @@ static inline uint64_t svoi_symdag_stabilizer(const svoi_symdag *d, uint32_t lev
 }
 static inline uint64_t svoi_symdag_size(const svoi_symdag *d, uint32_t level, uint32_t number)
 {
-    return level == d->brick_level ? svoi_brick_size(d->lod, d->level[level].bits[number]) : d->level[level].size[number];
+    return level == d->brick_level ? svoi_brick_size(d->brick_lod, d->level[level].bits[number]) : d->level[level].size[number];
 }
 
 /* Merge what is equal under the group, bottom-up. `nodes` (levels 0 .. brick_level - 1) and `bricks` are the builder's
  * tables and are freed on the way, also on failure; `root` is a number in level 0 (or of a brick). The result does not
  * depend on threads. SVO_OUT_OF_MEMORY or SVO_LIMIT without a message. */
-svo_result svoi_symdag_make(svoi_symdag *d, svoi_nodes *nodes, svoi_bricks *bricks, uint32_t brick_level, uint32_t root, bool lod,
+svo_result svoi_symdag_make(svoi_symdag *d, svoi_nodes *nodes, svoi_bricks *bricks, uint32_t brick_level, uint32_t root, bool lod, bool brick_lod,
                             svoi_group group, uint32_t threads, const svo_allocator *a);
 void svoi_symdag_free_level(svoi_symdag *d, uint32_t level);
 void svoi_symdag_free(svoi_symdag *d);

@@ -115,7 +115,7 @@ static svo_result walk(cut *c, uint32_t level, svo_view_node node, const uint32_
     const svo_view *v = c->v;
     if (level == c->level || node.full) {
         if (v->lod || node.full) {
-            take(c, node.attribute);
+            take(c, svo_view_node_attribute(v, level, node));
         } else {
             begin_average(c);
             gather_node(c, level, node);

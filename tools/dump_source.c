@@ -67,6 +67,26 @@ static json_t *channel_result(const char *name, double mean, double max, double 
     return o;
 }
 
+typedef struct comparing {
+    const svo_view *v, *w;
+    uint32_t c, d; /* the channel in each */
+    double sum, max;
+    uint64_t count, worst;
+} comparing;
+
+static bool compare_attribute(void *user, uint64_t attribute)
+{
+    comparing *k = user;
+    uint8_t a[SVO_MAX_STRIDE], b[SVO_MAX_STRIDE];
+    svo_view_attribute(k->w, k->d, attribute, a);
+    svo_view_attribute(k->v, k->c, attribute, b);
+    double e = value_error(k->v->channels[k->c].channel.kind, a, b);
+    k->sum += e;
+    k->count++;
+    if (e > k->max) k->max = e, k->worst = attribute;
+    return true;
+}
+
 /* Every attribute, those of inner nodes too, against the averages of the source: it is packed again without loss, in memory. Attributes are numbered alike in
  * every layout. */
 static svo_result compare_attributes(const svo_view *v, const svo_view *w, const json_t *options, json_t *channels, svo_error *err)
@@ -77,23 +97,14 @@ static svo_result compare_attributes(const svo_view *v, const svo_view *w, const
         const svo_channel *k = &v->channels[c].channel;
         uint32_t d = svo_view_find_channel(w, k->name);
         if (d == SVO_MAX_CHANNELS || w->channels[d].channel.kind != k->kind) return svo_fail(err, SVO_INVALID_DATA, "its source has no channel %s of this kind", k->name);
-        double sum = 0, max = 0, bound = promised(options, k->kind);
-        uint64_t worst = 0;
-        for (uint64_t i = 0; i < v->attribute_count; i++) {
-            uint8_t a[SVO_MAX_STRIDE], b[SVO_MAX_STRIDE];
-            svo_view_attribute(w, d, i, a);
-            svo_view_attribute(v, c, i, b);
-            double e = value_error(k->kind, a, b);
-            sum += e;
-            if (e > max) {
-                max = e;
-                worst = i;
-            }
-        }
-        json_array_append_new(channels, channel_result(k->name, v->attribute_count > 0 ? sum / (double)v->attribute_count : 0, max, bound));
-        if (beyond(max, bound))
-            return svo_fail(err, SVO_INVALID_DATA, "channel %s: attribute %llu is %.6g from its source, more than the %.6g that were promised", k->name,
-                            (unsigned long long)worst, max, bound);
+        const double bound = promised(options, k->kind);
+        comparing pair = {.v = v, .w = w, .c = c, .d = d};
+        for (uint64_t i = 0; i < v->attribute_count; i++) compare_attribute(&pair, i);
+        if (!v->empty && v->channels[c].encoding != SVO_ENCODING_CONSTANT) svo_view_averages(w, 0, svo_view_root(w), compare_attribute, &pair);
+        json_array_append_new(channels, channel_result(k->name, pair.count > 0 ? pair.sum / (double)pair.count : 0, pair.max, bound));
+        if (beyond(pair.max, bound))
+            return svo_fail(err, SVO_INVALID_DATA, "channel %s: attribute %llu%s is %.6g from its source, more than the %.6g that were promised", k->name,
+                            (unsigned long long)svo_average_first(pair.worst), svo_average_voxels(pair.worst) > 1 ? " (an average)" : "", pair.max, bound);
     }
     return SVO_OK;
 }
@@ -105,6 +116,7 @@ static svo_result pack_again(dump_job *j, const svo_view *v, const json_t *optio
     svo_packed *packed = NULL;
     svo_dag_options o = svo_default_dag_options();
     o.lod = v->lod;
+    o.averaged = v->averaged;
     o.threads = (uint32_t)j->c->threads;
     o.allocator = j->allocator;
     SVO_TRY(fmt_input_open(j->source, &in, err));

@@ -209,6 +209,32 @@ static void put_costs(const dump_job *j, const svo_view *v)
     json_object_set_new(j->json, "largest_costs", costs);
 }
 
+static void put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
+{
+    json_t *o = json_object();
+    cli_put_text(o, "what", what);
+    cli_put_text(o, "channel", channel);
+    cli_put_u64(o, "values", values);
+    cli_put_u64(o, "bytes_saved", bytes);
+    json_array_append_new(list, o);
+}
+
+/* What is not in the file, and the bytes of its plain values. (Table entries that no block names: the report of svo-compress.) */
+static void put_left_out(json_t *o, const svo_view *v)
+{
+    json_t *list = json_array();
+    uint64_t nodes = 0;
+    for (uint32_t l = 0; l <= v->depth; l++) nodes += v->nodes[l];
+    for (uint32_t i = 0; i < v->channel_count; i++) {
+        const svo_view_channel *c = &v->channels[i];
+        const uint32_t stride = svo_channel_stride(c->channel.kind);
+        const uint64_t inner = nodes > v->attribute_count + c->correction_count ? nodes - v->attribute_count - c->correction_count : 0;
+        if (c->encoding == SVO_ENCODING_CONSTANT) put_saving(list, "channel that is the same everywhere", c->channel.name, nodes, nodes * stride);
+        else if (inner != 0) put_saving(list, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->channel.name, inner, inner * stride);
+    }
+    json_object_set_new(o, "left_out", list);
+}
+
 static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)
 {
     const svo_view *v = &f->view;
@@ -223,6 +249,8 @@ static svo_result summarise(dump_job *j, const fmt_svdag *f, svo_error *err)
     dump_counts(j->json, v->depth, v->nodes, j->size);
     put_stored(j->json, v);
     json_object_set_new(j->json, "lod", json_boolean(v->lod));
+    json_object_set_new(j->json, "averaged", json_boolean(v->averaged));
+    put_left_out(j->json, v);
     cli_put_u64(j->json, "attribute_count", v->attribute_count);
     json_object_set_new(j->json, "attributes", dump_view_channels(v, &f->container));
     if (!j->quick) SVO_TRY(put_blocks(j->json, v, err));

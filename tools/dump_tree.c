@@ -34,7 +34,8 @@ static bool list_node(lister *t, uint32_t level, const uint32_t cell[3], const c
     cli_put_text(o, "kind", kind);
     cli_put_u64(o, "mask", mask);
     cli_put_u64(o, "children", (uint64_t)__builtin_popcount(mask));
-    cli_put_u64(o, "attribute", attribute);
+    cli_put_u64(o, "attribute", svo_average_first(attribute));
+    if (svo_average_voxels(attribute) > 1) cli_put_u64(o, "average_of", svo_average_voxels(attribute));
     if (slot != NULL) cli_put_u64(o, "slot", *slot);
     json_array_append_new(t->list, o);
     return true;
@@ -53,7 +54,7 @@ static bool list_brick(lister *t, svo_view_node node, const uint32_t cell[3])
     uint32_t half[3], voxel[3];
     uint8_t mask = 0;
     for (uint32_t a = 0; a < 8; a++) mask = (uint8_t)(mask | (octants >> 8 * a & 1) << a);
-    if (!list_node(t, level, cell, "brick", mask, node.attribute, v->layout == SVO_LAYOUT_PLAIN ? &node.at : NULL)) return false;
+    if (!list_node(t, level, cell, "brick", mask, svo_view_node_attribute(v, level, node), v->layout == SVO_LAYOUT_PLAIN ? &node.at : NULL)) return false;
     for (uint32_t a = 0; a < 8 && level < t->last; a++) {
         const uint8_t bits = (uint8_t)(brick >> 8 * a);
         if (bits == 0) continue;

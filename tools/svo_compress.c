@@ -14,9 +14,10 @@
 enum { GEOMETRY_FAST = 1 };
 static const char *const geometry_names[] = {"svdag", "fast", "symmetric", "best", NULL};
 static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
+enum { LOD_ALL, LOD_STORED, LOD_NONE };
 enum { PALETTES_BLOCKS = 0, PALETTES_ALGORITHM1 = 1 };
 static const char *const palette_names[] = {"blocks", "algorithm1", NULL};
-static const char *const lod_names[] = {"all", "none", NULL};
+static const char *const lod_names[] = {"all", "stored", "none", NULL};
 
 typedef struct arguments {
     int geometry, lod, palettes;
@@ -104,6 +105,7 @@ static json_t *sections(const svo_view *v)
         add_section(all, "ATBL", -1, c->channel.name, c->table_count * stride);
         add_section(all, "ADIR", -1, c->channel.name, (c->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) * c->superblock_count);
         add_section(all, "APAY", -1, c->channel.name, c->payload_size);
+        if (c->correction_count != 0) add_section(all, "ACOR", -1, c->channel.name, SVO_CORRECTION * c->correction_count);
     }
     return all;
 }
@@ -124,25 +126,31 @@ static void report_errors(run *r, const svo_view *v)
     }
 }
 
-/* What is not in the file, and what it would have taken stored plainly. */
+static void put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
+{
+    json_t *o = json_object();
+    if (values == 0) return;
+    cli_put_text(o, "what", what);
+    cli_put_text(o, "channel", channel);
+    cli_put_u64(o, "values", values);
+    cli_put_u64(o, "bytes_saved", bytes);
+    json_array_append_new(list, o);
+}
+
+/* What is not in the file: the plain values it would have taken, of table entries the bytes as they would have been stored. */
 static json_t *left_out(const run *r, const svo_view *v, uint64_t nodes)
 {
     json_t *all = json_array();
     for (uint32_t i = 0; i < v->channel_count; i++) {
-        uint32_t stride = svo_channel_stride(v->channels[i].channel.kind);
-        if (r->report.channels[i].left_out) {
-            json_t *o = json_object();
-            cli_put_text(o, "what", "channel that is the same everywhere");
-            cli_put_text(o, "channel", r->report.channels[i].name);
-            cli_put_u64(o, "bytes_saved", v->attribute_count * stride);
-            json_array_append_new(all, o);
-        } else if (!v->lod) {
-            json_t *o = json_object();
-            cli_put_text(o, "what", "attributes of inner nodes");
-            cli_put_text(o, "channel", r->report.channels[i].name);
-            cli_put_u64(o, "bytes_saved", (nodes - v->attribute_count) * stride);
-            json_array_append_new(all, o);
+        const svo_dag_channel_report *c = &r->report.channels[i];
+        const uint32_t stride = svo_channel_stride(v->channels[i].channel.kind);
+        if (c->left_out) {
+            put_saving(all, "channel that is the same everywhere", c->name, v->attribute_count, v->attribute_count * stride);
+            continue;
         }
+        const uint64_t stored = v->attribute_count + c->corrections, inner = nodes > stored ? nodes - stored : 0;
+        put_saving(all, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->name, inner, inner * stride);
+        put_saving(all, "table entries that nothing names", c->name, c->unused_entries, c->unused_bytes);
     }
     return all;
 }
@@ -171,8 +179,9 @@ static void report(run *r, double seconds)
         cli_put_u64(o, "bytes", ch->bytes);
         cli_put_u64(o, "distinct_in", ch->distinct_in);
         cli_put_u64(o, "distinct_out", ch->distinct_out);
+        cli_put_u64(o, "corrections", ch->corrections);
         json_array_append_new(channels, o);
-        if (!ch->left_out) plain += v->attribute_count * svo_channel_stride(v->channels[i].channel.kind);
+        if (!ch->left_out) plain += (v->lod ? nodes : v->attribute_count) * svo_channel_stride(v->channels[i].channel.kind);
     }
     cli_put_u64(in, "bytes", r->bytes_in);
     cli_put_u64(in, "chunks", r->report.counts.chunks);
@@ -246,14 +255,14 @@ int main(int argc, char **argv)
         {.name = "palettes", .kind = CLI_CHOICE, .value = &args.palettes, .argument = "MODE", .choices = palette_names,
          .help = "How values that vary are coded: blocks, each by what is cheapest for it, or the palettes of Algorithm 1 of Dado et al. 2016, to compare with (not within bounds; "
                  "channels with too many different values for a table stay as they are)."},
-        {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|none", .choices = lod_names,
-         .help = "Attributes of inner nodes: averages of what is below, or none."},
+        {.name = "lod", .kind = CLI_CHOICE, .value = &args.lod, .argument = "all|stored|none", .choices = lod_names,
+         .help = "Attributes of inner nodes: averages of what is below, or none. all: those of nodes of 2x2x2 and 4x4x4 voxels are worked out when they are asked for; stored: all are in the file, which is larger and a little faster to read."},
         {.name = "temp", .kind = CLI_TEXT, .value = &args.temp, .argument = "FOLDER", .no_default = true,
          .help = "Where temporary files go; without it TMPDIR, else the folder of the output."},
     };
     const cli_tool tool = {
         .name = "svo-compress", .summary = "Pack a sparse voxel octree so that it can be traversed in place.",
-        .synopsis = "IN.svo -o OUT.svdag [--geometry svdag|symmetric|fast|best] [--color lossless|BITS|deltaE=X] [--normal lossless|BITS|deg=X] [--lod all|none]",
+        .synopsis = "IN.svo -o OUT.svdag [--geometry svdag|symmetric|fast|best] [--color lossless|BITS|deltaE=X] [--normal lossless|BITS|deg=X] [--lod all|stored|none]",
         .options = options, .option_count = sizeof options / sizeof options[0],
         .details = "IN may be - for stdin, OUT may be - for stdout. Errors are measured over all attributes, inner nodes included, and go to the report.",
         .example = "svo-compress model.svo -o model.svdag --color 12 --normal deg=2 --report model.json",
@@ -263,7 +272,8 @@ int main(int argc, char **argv)
     if (code >= 0) return code;
     run r = {.c = &c, .args = &args, .options = svo_default_dag_options()};
     if ((code = cli_take_quality(&c, args.color, args.normal, &r.options)) >= 0) return code;
-    r.options.lod = args.lod == 0;
+    r.options.lod = args.lod != LOD_NONE;
+    r.options.averaged = args.lod == LOD_ALL;
     r.options.algorithm1 = args.palettes == PALETTES_ALGORITHM1;
     if (r.options.algorithm1 && (r.options.color_delta_e > 0 || r.options.normal_degrees > 0))
         return cli_usage(&c, "--palettes algorithm1 keeps no bounds: give --color and --normal as lossless or a number of bits");

@@ -23,7 +23,7 @@ typedef struct pack_options {
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const skins[] = {"pose", "bake", NULL};
-static const char *const lods[] = {"all", "none", NULL};
+static const char *const lods[] = {"all", "stored", "none", NULL};
 
 static void next_phase(void *user, const char *name) { cli_phase(user, name); }
 
@@ -323,7 +323,7 @@ int main(int argc, char **argv)
          .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94.", .group = "Meshes and .svo files"},
         {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "lossless|BITS|deg=X",
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees.", .group = "Meshes and .svo files"},
-        {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes.",
+        {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes; all: those of 2x2x2 and 4x4x4 voxels are worked out when they are asked for; stored: all are in the file.",
          .group = "Meshes and .svo files"},
         {.name = "animation", .kind = CLI_TEXT, .value = &o.animation, .argument = "NAME|NUMBER", .seen = &o.has_animation, .no_default = true,
          .help = "glTF scenes: the animation that poses skins and moves nodes; the first one with --time alone.", .group = "Scene"},
@@ -367,7 +367,8 @@ int main(int argc, char **argv)
     build.bake_skins = o.skins == 1;
     build.voxelize.surface = (svo_surface)o.surface;
     build.voxelize.fill = (svo_fill)o.fill;
-    build.dag.lod = o.lod == 0;
+    build.dag.lod = o.lod != 2;
+    build.dag.averaged = o.lod == 0;
     svo_error err = {0};
     return cli_end(&c, run(&c, &build, o.has_budget ? o.budget : 0, &err), &err);
 }

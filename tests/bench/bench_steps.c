@@ -62,7 +62,7 @@ static svoi_symdag merged(const svo_view *v, svoi_group group)
 {
     tables t = tables_of(v);
     svoi_symdag d;
-    must(svoi_symdag_make(&d, t.nodes, &t.bricks, v->brick_level, t.root, v->lod, group, 0, NULL) == SVO_OK, "out of memory");
+    must(svoi_symdag_make(&d, t.nodes, &t.bricks, v->brick_level, t.root, v->lod, svo_view_brick_lod(v), group, 0, NULL) == SVO_OK, "out of memory");
     return d;
 }
 

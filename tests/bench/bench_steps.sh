@@ -8,7 +8,7 @@ for d in 10 11 12 13; do
   for m in scan:E_formats/ply_bun_zipper/bun_zipper.ply statue:A_organic/armadillo/armadillo.obj building:F_big/sponza_low/Sponza_LowPoly.gltf \
            city:C_textured/virtual_city/VC.gltf tree:C_textured/oak_tree/oaktree.gltf product:C_textured/flight_helmet/FlightHelmet.gltf terrain:C_textured/terrain/terrain.glb; do
     n=${m%%:*}_$d
-    "$T/svo-voxelize" "$M/${m#*:}" --depth $d --attributes none -q -o $n.svo -f && "$T/svo-compress" $n.svo --geometry svdag -q -o $n.svdag -f && files="$files $n.svdag"
+    "$T/svo-voxelize" "$M/${m#*:}" --depth $d --attributes none -q -o $n.svo -f && "$T/svo-compress" $n.svo --geometry svdag --lod stored -q -o $n.svdag -f && files="$files $n.svdag"
     rm -f $n.svo
   done
 done

@@ -1,6 +1,6 @@
 /* The quantities of tables 2.1 to 2.5 of Dado et al. 2016 (chapter 2) for octrees with colours, beside this format's, as CSV.
  *
- *     bench_tables [-t THREADS] A.svdag [B.svdag ...]        (svo-compress --geometry svdag, colours without loss)
+ *     bench_tables [-t THREADS] A.svdag [B.svdag ...]        (svo-compress --geometry svdag --lod stored, colours without loss)
  *
  * Rows: model,depth,quantity,value. Bytes unless the name says otherwise. "Nodes" are all octree nodes, finest voxels included.
  *   attributes, distinct              nodes (Lambda) and distinct 24-bit colours (lambda)
@@ -230,7 +230,7 @@ static double colored_dag(const where *at, const svo_view *v, const uint32_t *co
     double start = cpu();
     svo_view_node root = svo_view_root(v);
     subtree(w, 0, root, v->brick_level == 0 ? svo_view_brick(v, root) : 0);
-    if (w->next != v->attribute_count) die("attributes of inner nodes are wanted (--lod all)");
+    if (w->next != v->attribute_count) die("attributes of inner nodes are wanted (--lod stored)");
     row(at, "cdag_cpu_s", cpu() - start);
     row(at, "cdag_nodes", (double)w->nodes);
     double bytes = 5.5 * (double)w->nodes + 4 * (double)w->pointers;
@@ -274,7 +274,7 @@ static void measure(const where *w, const svo_view *v)
 {
     uint32_t channel = svo_view_find_channel(v, "color");
     if (channel == SVO_MAX_CHANNELS || v->channel_count != 1 || v->unnumbered) die("one channel of colours that vary is wanted");
-    if (v->layout != SVO_LAYOUT_PLAIN || v->brick_level == 0 || !v->lod) die("files of --geometry svdag --lod all are wanted, of depth 3 or more");
+    if (v->layout != SVO_LAYOUT_PLAIN || v->brick_level == 0 || !v->lod || v->averaged) die("files of --geometry svdag --lod stored are wanted, of depth 3 or more");
     double nodes = 0, leaves = (double)v->nodes[v->depth];
     for (uint32_t l = 0; l <= v->depth; l++) nodes += (double)v->nodes[l];
     row(w, "voxels", leaves);
@@ -297,6 +297,7 @@ static void measure(const where *w, const svo_view *v)
         svo_dag_report r;
         double seconds;
         o.geometry = SVO_GEOMETRY_SVDAG;
+        o.averaged = false;
         o.color_bits = bits;
         svo_packed *p = pack(v, channel, o, &r, &seconds);
         c = colors_of(svo_packed_view(p), channel);

@@ -25,7 +25,7 @@ def measure(tools, bench, out, depths):
             for name, path in SCENES.items():
                 svo, dag = os.path.join(folder, "a.svo"), os.path.join(folder, name + ".svdag")
                 subprocess.run([tools + "/svo-voxelize", os.path.join(models, path), "-o", svo, "--depth", str(depth), "--attributes", "color", "-q", "-f"], check=True)
-                subprocess.run([tools + "/svo-compress", svo, "-o", dag, "--geometry", "svdag", "-q", "-f"], check=True)
+                subprocess.run([tools + "/svo-compress", svo, "-o", dag, "--geometry", "svdag", "--lod", "stored", "-q", "-f"], check=True)
                 lines = subprocess.run([bench, dag], check=True, capture_output=True, text=True).stdout.splitlines()
                 to.write("\n".join(lines[1:]) + "\n")
 

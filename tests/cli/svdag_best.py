@@ -89,6 +89,7 @@ def canonical(lengths):
 class Best:
     def __init__(self, levels, code, tree, bricks, svdag):
         self.tree, self.bricks, self.numbered, self.lod = tree, bricks, not svdag.unnumbered, svdag.lod
+        self.brick_lod = svdag.brick_lod
         need(len(levels) == 32 * (svdag.T - 2) and tree[-16:] == bytes(16) and code[-16:] == bytes(16), "DAG-12")
         self.levels = [struct.unpack("<QQQ4BI", levels[i:i + 32]) for i in range(0, len(levels), 32)]
         self.block_level = svdag.T - 3
@@ -151,7 +152,7 @@ class Best:
     def _size(self, brick):
         if brick is None:
             return 1
-        return ones(brick) + (1 + sum(1 for a in range(8) if brick >> 8 * a & 255) if self.lod else 0)
+        return ones(brick) + (1 + sum(1 for a in range(8) if brick >> 8 * a & 255) if self.brick_lod else 0)
 
     def children(self, level, node, index):
         """(octant, node, attribute index) in the order of the grid; below the blocks the node is the brick, None if full."""

@@ -36,6 +36,7 @@ TURN, PRODUCT = make_turns()
 class Fast:
     def __init__(self, c, tree, bricks, head):
         self.T, self.lod, self.unnumbered, self.bricks = head.T, head.lod, head.unnumbered, bricks
+        self.brick_lod = head.brick_lod
         self._code(c, tree)
         need(self.T > 2 and head.root < 48, "DAG-17")
         self.root = self.pools[0][0], head.root
@@ -60,7 +61,7 @@ class Fast:
     def _size(self, brick):
         if brick is None: # a full leaf
             return 1
-        return ones(brick) + (1 + sum(1 for a in range(8) if brick >> 8 * a & 255) if self.lod else 0)
+        return ones(brick) + (1 + sum(1 for a in range(8) if brick >> 8 * a & 255) if self.brick_lod else 0)
 
     def _block(self, at, turn):
         """{stored octant: brick as it lies in the grid} of a block, and the bit behind it."""

@@ -4,9 +4,10 @@
     .nodes()              every node in order: (level, x, y, z, attribute index or None; 0 where nothing is numbered; all nodes
                           inside a full leaf have its one)
     .voxel(x, y, z)       attribute index of a finest voxel, or None
-    .value(channel, i)    value of attribute i as bytes
+    .value(channel, i)    value of attribute i as bytes; i may be (first, voxels): an average
 """
 
+import math
 import struct
 import sys
 
@@ -34,8 +35,8 @@ def ones(x):
 class Channel:
     def __init__(self, record):
         self.name = record[:16].rstrip(b"\0").decode("ascii")
-        self.kind, flags, self.constant, self.encoding, zero, self.table_count = struct.unpack("<II8sIIQ", record[16:])
-        need(self.kind in STRIDE and zero == 0 and self.encoding <= 3 and flags == (self.encoding == 0), "DAG-02")
+        self.kind, flags, self.constant, self.encoding, self.corrections, self.table_count = struct.unpack("<II8sIIQ", record[16:])
+        need(self.kind in STRIDE and self.encoding <= 3 and flags == (self.encoding == 0), "DAG-02")
         self.stride = STRIDE[self.kind]
 
 
@@ -80,7 +81,18 @@ class Svdag:
                 c.entries = struct.unpack("<%dQ" % (len(body) // 8), body)
                 c.payload = self._take(b"APAY", number)
                 c.bits = (c.table_count - 1).bit_length()
+            if c.corrections:
+                self._corrections(c, self._take(b"ACOR", number))
         need(all(c[0] == b"META" for c in self.chunks), "DAG-01")
+
+    def _corrections(self, c, body):
+        need(self.averaged and c.encoding and len(body) == 12 * c.corrections, "DAG-08, DAG-22")
+        c.corrected, last = {}, -1
+        for i in range(c.corrections):
+            key, value = struct.unpack_from("<Q4s", body, 12 * i)
+            first, voxels = key >> 6, (key & 63) + 1
+            need(last < key and voxels > 1 and first + voxels <= self.A and not any(value[c.stride:]), "DAG-22")
+            c.corrected[first, voxels], last = value[:c.stride], key
 
     def _container(self):
         d = self.data
@@ -106,8 +118,10 @@ class Svdag:
 
     def _head(self, h):
         self.depth, self.layout, surface, fill, channels, flags = struct.unpack("<IIBBHI", h[:16])
-        need(self.layout in (1, 2, 3) and flags in (0, 1, 2, 3) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
+        need(self.layout in (1, 2, 3) and flags in (0, 1, 2, 3, 5, 7) and surface <= 1 and fill <= 1, "DAG-01, DAG-02")
         self.T, self.lod, self.unnumbered = max(self.depth, 2), flags & 1 == 1, flags & 2 == 2
+        self.averaged = flags & 4 == 4
+        self.brick_lod = self.lod and not self.averaged
         self.voxel_to_world = struct.unpack("<16d", h[16:144])
         self.A, self.root, zero = struct.unpack("<QII", h[144:160])
         self.level_nodes = struct.unpack("<22Q", h[160:336])
@@ -151,15 +165,19 @@ class Svdag:
             return 0
         below = (1 << 8 * a) - 1
         index += ones(brick & below)
-        if self.lod:
+        if self.brick_lod:
             index += 1 + sum(1 for o in range(a) if brick >> 8 * o & 255)
-        return index
+        return index if self.brick_lod else self._average(index, brick >> 8 * a & 255)
+
+    def _average(self, index, voxels):
+        """(first, voxels) of two voxels or more, else the index of the one."""
+        return (index, ones(voxels)) if self.averaged and not self.unnumbered and ones(voxels) > 1 else index
 
     def _voxel(self, brick, index, b):
         if self.unnumbered:
             return 0
         index += ones(brick & (1 << b) - 1)
-        if self.lod:
+        if self.brick_lod:
             index += 1 + sum(1 for o in range(b // 8 + 1) if brick >> 8 * o & 255)
         return index
 
@@ -175,13 +193,14 @@ class Svdag:
                 for o in reversed(range(8 if level < self.T else 0)):
                     stack.append((level + 1, None, index, 2 * x + (o & 1), 2 * y + (o >> 1 & 1), 2 * z + (o >> 2)))
                 continue
-            yield level, x, y, z, index if self.lod else None
+            if level == self.T - 2:
+                brick = self._brick(ref)
+                need(brick != 0, "DAG-04")
+            yield level, x, y, z, None if not self.lod else index if level < self.T - 2 else self._average(index, brick)
             if level < self.T - 2:
                 for o, child, i in reversed(list(self._children(level, ref, index))):
                     stack.append((level + 1, child, i, 2 * x + (o & 1), 2 * y + (o >> 1 & 1), 2 * z + (o >> 2)))
                 continue
-            brick = self._brick(ref)
-            need(brick != 0, "DAG-04")
             for a in range(8):
                 if not brick >> 8 * a & 255:
                     continue
@@ -287,12 +306,44 @@ class Svdag:
 
     def value(self, number, i):
         c = self.channels[number]
+        if isinstance(i, tuple):
+            if c.encoding == 0:
+                return c.constant[:c.stride]
+            if c.corrections and i in c.corrected:
+                return c.corrected[i]
+            return average(c.kind, [self.value(number, k) for k in range(i[0], i[0] + i[1])])
         need(0 <= i < self.A, "index out of range")
         if c.encoding == 0:
             return c.constant[:c.stride]
         if c.encoding == 1:
             return c.raw[i * c.stride:(i + 1) * c.stride]
         return self.block_value(c, i) if c.encoding == 2 else self.long_block_value(c, i)
+
+
+def linear(v):
+    v /= 255
+    return v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4
+
+
+def srgb(v):
+    return round(255 * (12.92 * v if v <= 0.0031308 else 1.055 * v ** (1 / 2.4) - 0.055))
+
+
+def average(kind, values):
+    """Of the values of finest voxels, as the text says; rounding may differ by one step."""
+    n = len(values)
+    if len(set(values)) == 1:
+        return values[0]
+    if kind == 1:
+        return bytes(srgb(sum(linear(v[k]) for v in values) / n) for k in range(3))
+    if kind == 3:
+        return bytes([(2 * sum(v[0] for v in values) + n) // (2 * n)])
+    if kind >= 4:
+        ids = [int.from_bytes(v, "little") for v in values]
+        return min(ids, key=lambda i: (-ids.count(i), i)).to_bytes(STRIDE[kind], "little")
+    mean = [sum(c) / n for c in zip(*map(decode_normal, values))]
+    length = math.sqrt(sum(c * c for c in mean))
+    return encode_normal([c / length for c in mean]) if length > 1e-6 else values[0]
 
 
 # bits of low, n - 1 and step, and what is taken from low, for each component of each kind
@@ -332,6 +383,16 @@ def decode_normal(v):
         u, w = (1 - abs(w)) * (-1 if u < 0 else 1), (1 - abs(u)) * (-1 if w < 0 else 1)
     n = (u * u + w * w + z * z) ** 0.5
     return u / n, w / n, z / n
+
+
+def encode_normal(n):
+    """The code next to a unit vector; which of two that are as near may differ."""
+    x, y, z = (c / sum(map(abs, n)) for c in n)
+    if z < 0:
+        x, y = (1 - abs(y)) * (-1 if x < 0 else 1), (1 - abs(x)) * (-1 if y < 0 else 1)
+    around = [(math.floor(32767 * x) + i, math.floor(32767 * y) + j) for i in (0, 1) for j in (0, 1)]
+    codes = [struct.pack("<hh", *c) for c in around if max(map(abs, c)) <= 32767]
+    return max(codes, key=lambda c: sum(p * q for p, q in zip(decode_normal(c), n)))
 
 
 if __name__ == "__main__":

@@ -300,7 +300,7 @@ class Seeds:
         self.run("svo-voxelize", line, "-o", self.path("chunks.svo"), "--depth", "9", "--attributes", "none")
         self.keep("svo", "chunks.svo")
         for name in svos:
-            for tag, options in (("lossless", []), ("lod", ["--lod", "all", "--color", "4", "--normal", "6"]), ("leaf", ["--lod", "none", "--color", "deltaE=5"]),
+            for tag, options in (("lossless", []), ("lod", ["--lod", "all", "--color", "4", "--normal", "6"]), ("leaf", ["--lod", "none", "--color", "deltaE=5"]), ("stored", ["--lod", "stored", "--color", "4"]), ("corrected", ["--color", "deltaE=16", "--normal", "deg=25"]),
                                  ("best", ["--geometry", "best", "--color", "4"]), ("plain", ["--geometry", "svdag", "--normal", "6"]), ("mirrors", ["--geometry", "symmetric", "--lod", "none"]),
                                  ("long", ["--palettes", "algorithm1", "--color", "6"])):
                 self.run("svo-compress", self.path(name + ".svo"), "-o", self.path("%s-%s.svdag" % (name, tag)), *options)

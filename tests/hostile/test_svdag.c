@@ -30,6 +30,19 @@ static bool visit(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index
     return w->sound && w->voxels < 100000; /* a small file can describe very many */
 }
 
+typedef struct averages { const svo_view *v; uint64_t sum; uint32_t left; } averages;
+
+static bool add_average(void *user, uint64_t attribute)
+{
+    averages *k = user;
+    for (uint32_t c = 0; c < k->v->channel_count; c++) {
+        uint8_t value[SVO_MAX_STRIDE] = {0};
+        svo_view_attribute(k->v, c, attribute, value);
+        for (int i = 0; i < 8; i++) k->sum += value[i];
+    }
+    return --k->left != 0;
+}
+
 static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
     (void)user;
@@ -50,6 +63,9 @@ static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, co
             svo_view_attribute(v, c, i, value);
             for (int k = 0; k < 8; k++) sum += value[k];
         }
+    averages k = {v, 0, 100000};
+    if (!v->empty) svo_view_averages(v, 0, svo_view_root(v), add_average, &k);
+    sum += k.sum;
     volatile uint64_t keep = sum; /* the sanitizers have seen every byte */
     (void)keep;
     fmt_svdag_close(&f);
@@ -57,11 +73,10 @@ static svo_result read_svdag(void *user, const uint8_t *bytes, uint64_t size, co
 }
 
 /* The file of a tree. */
-static void pack(tree *t, bool lod, svo_geometry geometry, const char *provenance, svo_buffer *file)
+static void pack_with(tree *t, svo_dag_options o, const char *provenance, svo_buffer *file)
 {
     svo_buffer_init(file, NULL);
     svo_error err = {0};
-    svo_dag_options o = {.lod = lod, .geometry = geometry, .threads = 1};
     svo_dag_builder *b;
     svo_packed *p;
     CHECK_OK(svo_dag_builder_create(&t->info, &o, &b, &err));
@@ -74,7 +89,12 @@ static void pack(tree *t, bool lod, svo_geometry geometry, const char *provenanc
     svo_packed_free(p);
 }
 
-static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry, uint32_t rounds)
+static void pack(tree *t, bool lod, svo_geometry geometry, const char *provenance, svo_buffer *file)
+{
+    pack_with(t, (svo_dag_options){.lod = lod, .geometry = geometry, .threads = 1}, provenance, file);
+}
+
+static void run_with(uint32_t depth, uint32_t style, svo_dag_options o, uint32_t rounds)
 {
     uint64_t seed = 200 + depth;
     tree t;
@@ -85,13 +105,27 @@ static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry,
         for (uint64_t i = 0; i < t.count * stride; i++) t.values[c][i] &= c == 0 || i / stride % 1500 < 700 ? 3 : 0x3f;
     }
     svo_buffer file;
-    pack(&t, lod, geometry, "{\"tool\":\"test\"}", &file);
+    pack_with(&t, o, "{\"tool\":\"test\"}", &file);
     tree_free(&t);
     hostile_case c = {.read = read_svdag, .bytes = file.data, .size = file.size, .rounds = rounds, .seed = seed};
     hostile_run(&c);
     svo_buffer_free(&file);
 }
 
+static void run(uint32_t depth, uint32_t style, bool lod, svo_geometry geometry, uint32_t rounds)
+{
+    run_with(depth, style, (svo_dag_options){.lod = lod, .geometry = geometry, .threads = 1}, rounds);
+}
+
+/* Averages instead of attributes of bricks, and corrections. */
+static svo_dag_options averaged(svo_geometry geometry)
+{
+    return (svo_dag_options){.lod = true, .averaged = true, .geometry = geometry, .color_delta_e = 12, .normal_degrees = 20, .threads = 1};
+}
+
+TEST(damaged_averages) { run_with(6, 1, averaged(SVO_GEOMETRY_SVDAG), 300); }
+TEST(damaged_averages_of_layout_2) { run_with(6, 1, averaged(SVO_GEOMETRY_FAST), 300); }
+TEST(damaged_averages_of_layout_3) { run_with(6, 1, averaged(SVO_GEOMETRY_BEST), 300); }
 TEST(damaged_single_voxel) { run(0, 2, true, SVO_GEOMETRY_SVDAG, 0); }
 TEST(damaged_brick) { run(2, 0, true, SVO_GEOMETRY_SVDAG, 0); }
 TEST(damaged_without_channels) { run(6, 0, true, SVO_GEOMETRY_SVDAG, 0); }
@@ -171,6 +205,41 @@ TEST(claims_of_2_to_the_60)
 /* A field of a payload changed and the hashes made right again: each rule has its own message. */
 typedef struct edit { uint32_t type; uint64_t offset; uint8_t mask; const char *rule; } edit;
 
+TEST(rules_of_corrections)
+{
+    uint64_t seed = 9;
+    svo_error err = {0};
+    tree t;
+    svo_buffer file;
+    tree_random(&t, 6, 1, &seed);
+    pack_with(&t, averaged(SVO_GEOMETRY_FAST), NULL, &file);
+    tree_free(&t);
+    const edit edits[] = {
+        {FMT_FOURCC('H', 'E', 'A', 'D'), 12, 4, "DAG"},     /* corrections without averages */
+        {FMT_FOURCC('H', 'E', 'A', 'D'), 12, 1, "DAG-02"},  /* averages without lod */
+        {FMT_FOURCC('A', 'C', 'O', 'R'), 7, 0x80, "DAG-22"}, /* no such value, and not ascending */
+        {FMT_FOURCC('A', 'C', 'O', 'R'), 11, 1, "DAG-22"},  /* an unused byte of a colour */
+    };
+    for (size_t i = 0; i < sizeof edits / sizeof edits[0]; i++) {
+        hostile_file h;
+        svo_buffer bad;
+        fmt_svdag f;
+        svo_buffer_init(&bad, NULL);
+        hostile_parse(file.data, file.size, &h);
+        hostile_chunk *c = hostile_find(&h, edits[i].type);
+        CHECK_MSG(c != NULL && edits[i].offset < c->payload.size, "edit %zu: no such chunk", i);
+        if (c == NULL) break;
+        c->payload.data[edits[i].offset] ^= edits[i].mask;
+        hostile_touch(c);
+        hostile_build(&h, &bad);
+        CHECK(fmt_svdag_open(bad.data, bad.size, NULL, &f, &err) == SVO_INVALID_DATA);
+        CHECK_MSG(strstr(err.message, edits[i].rule) != NULL, "edit %zu: '%s' does not name %s", i, err.message, edits[i].rule);
+        svo_buffer_free(&bad);
+        hostile_free(&h);
+    }
+    svo_buffer_free(&file);
+}
+
 TEST(each_rule)
 {
     uint64_t seed = 300;
@@ -202,7 +271,7 @@ TEST(each_rule)
         {C4("HEAD"), 0, 1, "DAG"},          /* depth 7: a level is missing */
         {C4("HEAD"), 4, 2, "DAG-01"},       /* layout 3 */
         {C4("HEAD"), 8, 7, "SVO-02"},       /* surface */
-        {C4("HEAD"), 12, 4, "DAG-02"},       /* unknown flag */
+        {C4("HEAD"), 12, 8, "DAG-02"},       /* unknown flag */
         {C4("HEAD"), 12, 2, "DAG-06"},       /* channels vary, but nothing is numbered */
         {C4("HEAD"), 12, 1, "DAG-06"},      /* lod */
         {C4("HEAD"), 144, 1, "DAG"},        /* attributes */

@@ -98,7 +98,7 @@ static uint32_t pack(packer *p, uint32_t level, uint64_t begin, uint64_t end, ui
         set_values(p, (*next)++, begin, end);
         return 0;
     }
-    if (v->lod) set_values(p, (*next)++, begin, end);
+    if (v->lod && (!v->averaged || level < v->brick_level)) set_values(p, (*next)++, begin, end);
     uint32_t shift = 3 * (v->tree_depth - 1 - level), mask = 0, k = 0, refs[8];
     uint64_t offsets[8];
     for (uint64_t i = begin; i < end;) {
@@ -145,6 +145,7 @@ svo_view *packer_make(uint32_t depth, const uint64_t *codes, uint64_t count, con
     svo_view *v = &p->view;
     begin_view(v, depth, p->options.lod, p->options.voxel_to_world);
     v->unnumbered = p->options.unnumbered;
+    v->averaged = v->lod && p->options.averaged;
     for (uint32_t l = 0; l < v->brick_level; l++) v->levels[l].offset_words = v->unnumbered ? 0 : p->options.offset_words == 2 ? 2 : 1;
     uint64_t *sorted = grow(NULL, count * 8), unique = 0, next = 0;
     if (count != 0) memcpy(sorted, codes, count * 8);

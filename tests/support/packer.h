@@ -9,6 +9,7 @@ typedef void (*packer_value_fn)(void *user, uint32_t channel, uint32_t x, uint32
 
 typedef struct packer_options {
     bool lod, unnumbered;
+    bool averaged;         /* with lod: bricks and their octants have no attributes of their own */
     bool share;            /* identical nodes once (a linear search, for small octrees) */
     uint32_t offset_words; /* 1 or 2; 0 = 1 */
     const double *voxel_to_world; /* NULL: identity */

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "packer.h"
+#include "svo_color.h"
 #include "svo_dag.h"
 #include "svo_morton.h"
 #include "test.h"
@@ -72,20 +73,21 @@ static void brute_value(const tree *t, uint32_t channel, uint64_t begin, uint64_
 /* Depth-first over the sorted voxels: checks all nodes' attributes and counts indices. */
 static void check_node(const tree *t, const svo_view *v, uint32_t level, uint64_t begin, uint64_t end, uint64_t *next)
 {
-    bool finest = level == v->tree_depth;
+    const bool finest = level == v->tree_depth, average = v->averaged && level >= v->brick_level && !finest;
     if (finest || v->lod) {
+        const uint64_t attribute = average ? svo_average_of(*next, (uint32_t)(end - begin)) : *next;
         for (uint32_t c = 0; c < t->info.channel_count; c++) {
             uint8_t want[SVO_MAX_STRIDE], got[SVO_MAX_STRIDE];
             svo_channel_kind kind = t->info.channels[c].kind;
             uint32_t stride = svo_channel_stride(kind);
-            svo_view_attribute(v, c, *next, got);
+            svo_view_attribute(v, c, attribute, got);
             if (t->info.channels[c].constant) memcpy(want, t->info.channels[c].value, stride);
             else if (end - begin == 1) memcpy(want, t->values[c] + begin * stride, stride);
             else brute_value(t, c, begin, end, want);
             bool same = end - begin == 1 ? memcmp(want, got, stride) == 0 : same_value(kind, want, got);
             CHECK_MSG(same, "depth %u level %u attribute %llu channel %u", v->depth, level, (unsigned long long)*next, c);
         }
-        (*next)++;
+        if (!average) (*next)++;
     }
     if (finest) {
         uint32_t x, y, z;
@@ -128,7 +130,7 @@ static void check_view(const tree *t, const svo_view *v)
 /* Numbers follow first appearance in both, so even the arrays are equal. */
 static void check_geometry(const tree *t, const svo_view *v)
 {
-    packer_options o = {.lod = v->lod, .unnumbered = v->unnumbered, .share = true};
+    packer_options o = {.lod = v->lod, .averaged = v->averaged, .unnumbered = v->unnumbered, .share = true};
     svo_view *p = packer_make(t->info.depth, t->codes, t->count, &o);
     CHECK_U64(p->attribute_count, v->attribute_count);
     CHECK_U64(p->root, v->root);
@@ -150,12 +152,13 @@ TEST(every_node_at_every_depth)
     uint64_t seed = 1;
     for (uint32_t style = 0; style < TREE_STYLES; style++)
         for (size_t d = 0; d < sizeof depths / sizeof depths[0]; d++)
-            for (int lod = 0; lod < 2; lod++) {
+            for (int lod = 0; lod < 3; lod++) { /* 2: averaged */
                 tree t;
                 tree_random(&t, depths[d], style, &seed);
                 svo_dag_options o = svo_default_dag_options();
                 o.geometry = SVO_GEOMETRY_SVDAG; /* whose arrays are compared below; test_fast compares the layouts */
                 o.lod = lod != 0;
+                o.averaged = lod == 2;
                 o.threads = 2;
                 svo_dag_report report;
                 svo_packed *p = build(&t, &o, &report);
@@ -286,17 +289,85 @@ static void check_same(const svo_view *a, const svo_view *b)
         CHECK(same_bytes(a->levels[l].words, b->levels[l].words, 4 * a->levels[l].word_count));
     }
     CHECK_U64(a->brick_count, b->brick_count);
+    CHECK(a->averaged == b->averaged);
     CHECK(same_bytes(a->bricks, b->bricks, 8 * a->brick_count));
     for (uint32_t c = 0; c < a->channel_count; c++) {
         const svo_view_channel *x = &a->channels[c], *y = &b->channels[c];
         CHECK(x->encoding == y->encoding && x->table_count == y->table_count && x->payload_size == y->payload_size);
         uint32_t stride = svo_channel_stride(x->channel.kind);
+        CHECK(x->correction_count == y->correction_count && same_bytes(x->corrections, y->corrections, SVO_CORRECTION * x->correction_count));
         if (x->encoding == SVO_ENCODING_RAW) CHECK(same_bytes(x->raw, y->raw, a->attribute_count * stride));
         if (x->encoding != SVO_ENCODING_BLOCKS) continue;
         CHECK(same_bytes(x->table, y->table, x->table_count * stride));
         CHECK(same_bytes(x->directory, y->directory, SVO_PALETTE_ENTRY * x->superblock_count));
         CHECK(same_bytes(x->payload, y->payload, x->payload_size));
     }
+}
+
+typedef struct bounded { const svo_view *exact, *view; uint32_t channel; double bound, worst; uint64_t beyond; } bounded;
+
+static bool within(void *user, uint64_t attribute)
+{
+    bounded *b = user;
+    uint8_t x[SVO_MAX_STRIDE], y[SVO_MAX_STRIDE];
+    float p[3], q[3];
+    svo_view plain = *b->view; /* as it would be read without corrections */
+    plain.channels[b->channel].correction_count = 0;
+    svo_view_attribute(b->exact, b->channel, attribute, x);
+    for (int k = 0; k < 2; k++) {
+        double error;
+        svo_view_attribute(k == 0 ? b->view : &plain, b->channel, attribute, y);
+        if (b->view->channels[b->channel].channel.kind == SVO_KIND_COLOR_SRGB8) {
+            svo_srgb8_to_lab(x, p), svo_srgb8_to_lab(y, q);
+            error = svo_delta_e94(p, q);
+        } else {
+            svo_oct32_decode(x, p), svo_oct32_decode(y, q);
+            double s = 0;
+            for (int i = 0; i < 3; i++) s += ((double)p[i] - q[i]) * ((double)p[i] - q[i]);
+            error = 2 * asin(fmin(1, sqrt(s) / 2)) * 57.29577951308232;
+        }
+        if (k == 0 && error > b->worst) b->worst = error;
+        if (k == 1 && error > b->bound * (1 + 1e-5)) b->beyond++;
+    }
+    return true;
+}
+
+/* Averages of values within a bound need not be within it: those that are not are stored, and no others. */
+TEST(averages_are_within_the_bound)
+{
+    static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_BEST};
+    uint64_t seed = 6, corrected = 0;
+    for (uint32_t depth = 2; depth <= 8; depth += 2)
+        for (int g = 0; g < 3; g++) {
+            tree t;
+            tree_random(&t, depth, 1, &seed);
+            svo_dag_options o = svo_default_dag_options();
+            o.geometry = geometries[g];
+            svo_packed *exact = build(&t, &o, NULL);
+            o.color_delta_e = 12, o.normal_degrees = 20;
+            svo_dag_report report;
+            svo_packed *p = build(&t, &o, &report);
+            if (exact == NULL || p == NULL) return;
+            const svo_view *v = svo_packed_view(p);
+            for (uint32_t c = 0; c < v->channel_count && !test_failed(); c++) {
+                const svo_channel_kind kind = v->channels[c].channel.kind;
+                if (v->channels[c].channel.constant || (kind != SVO_KIND_COLOR_SRGB8 && kind != SVO_KIND_NORMAL_OCT32)) continue;
+                bounded b = {svo_packed_view(exact), v, c, kind == SVO_KIND_COLOR_SRGB8 ? 12 : 20, 0, 0};
+                CHECK(svo_view_averages(v, 0, svo_view_root(v), within, &b));
+                CHECK_MSG(b.worst <= b.bound * (1 + 1e-5), "depth %u channel %u: %g", depth, c, b.worst);
+                CHECK_U64(b.beyond, v->channels[c].correction_count);
+                CHECK_U64(report.channels[c].corrections, v->channels[c].correction_count);
+                CHECK(report.channels[c].error_max <= b.bound && report.channels[c].error_max >= b.worst * (1 - 1e-5));
+                corrected += b.beyond;
+            }
+            svo_error err = {0};
+            CHECK_OK(svo_view_validate(v, NULL, &err));
+            svo_packed_free(p);
+            svo_packed_free(exact);
+            tree_free(&t);
+            if (test_failed()) return;
+        }
+    CHECK_MSG(corrected > 0, "%llu corrections are no test", (unsigned long long)corrected);
 }
 
 TEST(threads_do_not_show)
@@ -308,6 +379,7 @@ TEST(threads_do_not_show)
         tree_random(&t, depths[d], 1, &seed);
         svo_dag_options o = svo_default_dag_options();
         o.threads = 1;
+        if (d == 1) o.color_delta_e = 12, o.normal_degrees = 20; /* with corrections */
         svo_packed *one = build(&t, &o, NULL);
         if (one == NULL) return;
         for (uint32_t threads = 2; threads <= 7; threads += 5) {

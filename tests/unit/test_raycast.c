@@ -54,7 +54,7 @@ static void world_finish(world *w)
 }
 
 /* Nearest terminal node in codes [begin, end) of a node, and its number in depth-first order. */
-static void search(const world *w, const svo_ray *r, bool lod, uint32_t level, uint64_t begin, uint64_t end, uint64_t number, svo_hit *best)
+static void search(const world *w, const svo_ray *r, bool lod, bool averaged, uint32_t level, uint64_t begin, uint64_t end, uint64_t number, svo_hit *best)
 {
     uint32_t up = w->depth - level, cell[3];
     svo_morton_decode(w->codes[begin] >> 3 * up, &cell[0], &cell[1], &cell[2]);
@@ -66,33 +66,35 @@ static void search(const world *w, const svo_ray *r, bool lod, uint32_t level, u
             best->hit = true;
             best->t = t;
             best->level = (uint8_t)level;
-            best->attribute = number;
+            best->attribute = averaged && up <= 2 ? svo_average_of(number, (uint32_t)(end - begin)) : number;
             memcpy(best->cell, cell, sizeof cell);
         }
         return;
     }
     if (!met || level == w->depth) return;
-    number += lod;
+    number += lod && (!averaged || up > 2);
     for (uint64_t i = begin; i < end;) {
         uint64_t prefix = w->codes[i] >> 3 * (up - 1), j = i + 1;
         while (j < end && w->codes[j] >> 3 * (up - 1) == prefix) j++;
-        search(w, r, lod, level + 1, i, j, number, best);
+        search(w, r, lod, averaged, level + 1, i, j, number, best);
         if (!lod) number += j - i;
         else
             /* nodes of the subtree: a new node on every level where the prefix changes */
-            for (uint32_t l = level + 1; l <= w->depth; l++)
+            for (uint32_t l = level + 1; l <= w->depth; l++) {
+                if (averaged && (w->depth - l == 1 || w->depth - l == 2)) continue;
                 for (uint64_t k = i; k < j; k++)
                     number += k == i || w->codes[k] >> 3 * (w->depth - l) != w->codes[k - 1] >> 3 * (w->depth - l);
+            }
         i = j;
     }
 }
 
-static svo_hit expected(const world *w, const svo_ray *r, bool lod)
+static svo_hit expected(const world *w, const svo_ray *r, bool lod, bool averaged)
 {
     svo_hit best;
     memset(&best, 0, sizeof best);
     /* with lod the virtual levels of a small octree have attributes too */
-    if (w->count != 0) search(w, r, lod, 0, 0, w->count, lod && w->depth < 2 ? 2 - w->depth : 0, &best);
+    if (w->count != 0) search(w, r, lod, averaged, 0, 0, w->count, lod && !averaged && w->depth < 2 ? 2 - w->depth : 0, &best);
     return best;
 }
 
@@ -112,7 +114,7 @@ static void check_rays(const world *w, const svo_view *v, uint64_t seed, int cou
             r.spread = i % 3 == 0 ? 0 : exp2(test_random_unit(&seed) * w->depth);
             r.offset = i % 5 != 0 ? 0 : n * test_random_unit(&seed) * test_random_unit(&seed);
         }
-        svo_hit h, e = expected(w, &r, v->lod);
+        svo_hit h, e = expected(w, &r, v->lod, v->averaged);
         svo_raycast(v, &r, 1, &h);
         hits += h.hit;
         CHECK_MSG(same_hit(&h, &e),
@@ -150,8 +152,8 @@ static world random_world(uint32_t depth, uint64_t count, uint64_t seed)
 
 static void check_world(world *w, uint64_t seed, int rays)
 {
-    for (int variant = 0; variant < 4 && !test_failed(); variant++) {
-        packer_options o = {.lod = variant != 0, .share = variant == 2 && w->count < 3000, .offset_words = variant == 3 ? 2 : 1};
+    for (int variant = 0; variant < 5 && !test_failed(); variant++) {
+        packer_options o = {.lod = variant != 0, .averaged = variant == 4, .share = variant == 2 && w->count < 3000, .offset_words = variant == 3 ? 2 : 1};
         svo_view *v = packer_make(w->depth, w->codes, w->count, &o);
         check_rays(w, v, seed + (uint64_t)variant, rays, variant != 1);
         packer_free(v);

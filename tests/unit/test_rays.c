@@ -125,8 +125,8 @@ TEST(every_depth_and_shape)
         for (uint32_t style = 0; style < 4 && !test_failed(); style++) {
             uint64_t *codes, cells = (uint64_t)1 << 3 * depths[d], want = cells < 3000 ? cells : 3000;
             uint64_t count = make_world(depths[d], style, want, &seed, &codes);
-            for (int lod = 0; lod < 2 && !test_failed(); lod++) {
-                packer_options o = {.lod = lod != 0};
+            for (int lod = 0; lod < 3 && !test_failed(); lod++) {
+                packer_options o = {.lod = lod != 0, .averaged = lod == 2};
                 svo_view *v = packer_make(depths[d], codes, count, &o);
                 check_view(v, seed, 1500);
                 packer_free(v);

@@ -177,7 +177,7 @@ static void make(svoi_symdag *d, const voxels *v, uint32_t depth, bool lod, svoi
     uint64_t size;
     t->lod = lod;
     uint32_t root = add_subtree(t, 0, depth, v->code, v->code + v->count, &size);
-    svo_result r = svoi_symdag_make(d, t->nodes, &t->bricks, depth - 2, root, lod, group, threads, NULL);
+    svo_result r = svoi_symdag_make(d, t->nodes, &t->bricks, depth - 2, root, lod, lod, group, threads, NULL);
     free(t);
     CHECK(r == SVO_OK);
     CHECK_U64(svoi_symdag_size(d, 0, d->root), size);
@@ -359,7 +359,7 @@ TEST(no_memory_leaves_nothing_behind)
         uint32_t root = add_subtree(t, 0, 6, input.code, input.code + input.count, &size);
         svoi_symdag d;
         a.fail_at = a.count + fail;
-        svo_result r = svoi_symdag_make(&d, t->nodes, &t->bricks, 4, root, true, SVOI_ALL, 1, &a.base);
+        svo_result r = svoi_symdag_make(&d, t->nodes, &t->bricks, 4, root, true, true, SVOI_ALL, 1, &a.base);
         if (r == SVO_OK) svoi_symdag_free(&d);
         free(t);
         CHECK_U64(svo_limit_in_use(&a), 0);

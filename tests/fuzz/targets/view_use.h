@@ -11,8 +11,16 @@ typedef struct view_use { const svo_view *view; uint32_t left; } view_use;
 static inline void view_value(const svo_view *v, uint64_t index)
 {
     uint8_t value[64];
-    if (index >= v->attribute_count && !v->unnumbered) fuzz_fail("attribute %llu of %llu", (unsigned long long)index, (unsigned long long)v->attribute_count);
+    const uint64_t voxels = svo_average_voxels(index);
+    if ((svo_average_first(index) >= v->attribute_count || voxels > v->attribute_count - svo_average_first(index)) && !v->unnumbered) fuzz_fail("attribute %llu of %llu", (unsigned long long)index, (unsigned long long)v->attribute_count);
     for (uint32_t c = 0; c < v->channel_count; c++) svo_view_attribute(v, c, index, value);
+}
+
+static inline bool view_average(void *user, uint64_t attribute)
+{
+    view_use *u = user;
+    view_value(u->view, attribute);
+    return --u->left != 0;
 }
 
 static inline bool view_visit(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
@@ -30,6 +38,8 @@ static inline void view_check(const svo_view *v)
     view_use u = {v, 2000};
     svo_view_voxels(v, view_visit, &u);
     if (!v->empty && u.left == 2000) fuzz_fail("no voxel in an octree that is not empty");
+    u.left = 2000;
+    if (!v->empty) svo_view_averages(v, 0, svo_view_root(v), view_average, &u);
     uint32_t low[3], high[3];
     bool any;
     svo_error err;
