@@ -234,44 +234,6 @@ INLINE void enter_node(packet *p, frame *f, uint32_t unit, const int32_t corner[
     f->cells = mirrored(touched(&p->y, &p->beam, corner, s) & f->mask, p->y.flip);
 }
 
-/* Rays that meet the node at `corner` with edge 2^s by the rule of svo_raycast.h go on alone from there, where its cells are those of `unit`.
- * True if no ray is left. */
-static bool set_out(packet *p, const frame *stack, const int32_t corner[3], uint32_t s, uint32_t unit)
-{
-    svoi_ray_batch *b = p->b;
-    uint32_t before = 0, after = 0;
-    for (uint32_t g = 0; g < p->groups; g++) {
-        if (p->active[g] == 0) continue;
-        before++;
-        uint32_t i = p->first + 16 * g;
-        wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY), plane[3];
-        for (int k = 0; k < 3; k++) {
-            int32_t size = (int32_t)1 << s, forward = p->y.negative >> k & 1 ? 0 : size;
-            wide o = wide_load(&b->in.o[k][i]), inv = wide_load(&b->in.inv[k][i]);
-            plane[k] = wide_mul(wide_sub(wide_set(corner[k] + size - forward), o), inv);
-            in = wide_max(plane[k], in);
-            out = wide_min(wide_mul(wide_sub(wide_set(corner[k] + forward), o), inv), out);
-        }
-        uint32_t met = wide_less(in, out) & wide_at_most(in, wide_load(&b->in.t_max[i])) & p->active[g];
-        if (met != 0) {
-            int32_t side[3];
-            for (int k = 0; k < 3; k++) side[k] = corner[k] + (p->y.negative >> k & 1 ? ((int32_t)1 << s) - 1 : 0);
-            uint32_t to = b->starts;
-            start_rays(b, i, met, in, wide_load(&b->in.t_max[i]), plane, side, (1 << p->r->fraction) - 1);
-            for (uint32_t k = 0; k < SVOI_RAYS_LEVELS; k++) {
-                if (p->r->fraction + 2 * k < s || k >= p->r->levels) continue;
-                uint32_t above = p->r->levels - 1 - k; /* frame of that level */
-                for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->stack[k][j], (int32_t)stack[above].unit);
-            }
-            for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->s[j], (int32_t)s - 2), wide_fill(&b->node[j], (int32_t)unit);
-        }
-        p->active[g] &= ~met;
-        after += p->active[g] != 0;
-    }
-    if (after != 0 && after != before) join(p);
-    return after == 0;
-}
-
 /* Box of what is in the node at `unit`, or the brick, at `corner` with edge 2^s. */
 INLINE void content_box(const svo_rays *r, uint32_t unit, const int32_t corner[3], uint32_t s, int32_t low[3], int32_t high[3])
 {
@@ -295,18 +257,20 @@ INLINE void content_box(const svo_rays *r, uint32_t unit, const int32_t corner[3
     }
 }
 
-/* For rays of which is asked only whether they hit: those that meet what is in the node at `corner` with edge 2^s are to be traced from there to where
- * they leave it, and stay in the packet. What has no voxels for a ray costs it nothing this way: neither the way down to where it begins nor the empty
- * space beyond. */
-static void look_into(packet *p, bool lod, const int32_t corner[3], uint32_t s, uint32_t unit)
+/* Rays that meet what is in the node or brick at `corner` with edge 2^s go on alone from there. With `any`, it is asked only whether they hit: they are to be
+ * traced from there to where they leave it, and stay in the packet. What has no voxels for a ray costs it nothing this way: neither the way down to where it
+ * begins nor the empty space beyond. True if no ray is left. */
+INLINE bool set_out(packet *p, bool lod, bool any, const frame *stack, const int32_t corner[3], uint32_t s, uint32_t unit)
 {
     svoi_ray_batch *b = p->b;
     int32_t low[3], high[3];
+    uint32_t before = 0, after = 0;
     if (lod) /* nodes that are small enough count as full */
         for (int k = 0; k < 3; k++) low[k] = corner[k], high[k] = corner[k] + (int32_t)((uint32_t)1 << s);
     else content_box(p->r, unit, corner, s, low, high);
     for (uint32_t g = 0; g < p->groups; g++) {
         if (p->active[g] == 0) continue;
+        before++;
         uint32_t i = p->first + 16 * g;
         wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY), plane[3], t_max = wide_load(&b->in.t_max[i]);
         int32_t side[3];
@@ -319,12 +283,22 @@ static void look_into(packet *p, bool lod, const int32_t corner[3], uint32_t s, 
             out = wide_min(wide_mul(wide_sub(wide_set(back ? low[k] : high[k]), o), inv), out);
         }
         uint32_t met = wide_less(in, out) & wide_at_most(in, t_max) & p->active[g];
-        if (met == 0) continue;
-        /* hits in the box are before `out`: the ray ends just before it */
-        uint32_t to = b->starts;
-        start_rays(b, i, met, in, wide_min(t_max, wide_before(out)), plane, side, (1 << p->r->fraction) - 1);
-        for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->s[j], (int32_t)s - 2), wide_fill(&b->node[j], (int32_t)unit);
+        if (met != 0) {
+            if (any) t_max = wide_min(t_max, wide_before(out)); /* hits in the box are before `out` */
+            uint32_t to = b->starts;
+            start_rays(b, i, met, in, t_max, plane, side, (1 << p->r->fraction) - 1);
+            for (uint32_t k = 0; k < SVOI_RAYS_LEVELS && !any; k++) {
+                if (p->r->fraction + 2 * k < s || k >= p->r->levels) continue;
+                uint32_t above = p->r->levels - 1 - k; /* frame of that level */
+                for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->stack[k][j], (int32_t)stack[above].unit);
+            }
+            for (uint32_t j = to; j < b->starts; j += 16) wide_fill(&b->s[j], (int32_t)s - 2), wide_fill(&b->node[j], (int32_t)unit);
+            if (!any) p->active[g] &= ~met;
+        }
+        after += p->active[g] != 0;
     }
+    if (after != 0 && after != before) join(p);
+    return after == 0;
 }
 
 /* Trace what has been put aside; rays that are blocked, or must be looked at by svo_raycast, leave the packet. True if none is left. */
@@ -410,8 +384,7 @@ INLINE void traverse(packet *p, bool lod, bool any)
         } else if (s == r->fraction + 2 && p->y.width + p->y.width_slope * far <= NARROW * (double)((uint32_t)1 << r->fraction) &&
                    !(lod && (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= (double)((uint32_t)2 << r->fraction))) {
             if (visit_brick(p, child, f->base, at)) return;
-        } else if (any) look_into(p, lod, at, s, child);
-        else if (set_out(p, stack, at, s, child)) return;
+        } else if (set_out(p, lod, any, stack, at, s, child)) return;
         if (any && b->starts + b->found + SVOI_RAYS_PACKET > SVOI_RAYS_BATCH && settle(p, lod)) return;
     }
 }
