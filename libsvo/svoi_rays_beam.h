@@ -22,8 +22,9 @@ enum {
     GROUPS = SVOI_RAYS_PACKET / 16,
     MARGIN = 2048, /* units: more than floats round */
     /* Measured (bench_rays): */
-    WIDE = 4,  /* rays part where the packet is wider than so many cells */
-    NARROW = 4 /* a packet of at most so many finest voxels stays together in bricks */
+    WIDE = 2,     /* rays part where the packet is wider than so many cells; */
+    WIDE_ANY = 4, /* those of which is asked only whether they hit, than so many */
+    NARROW = 2 /* a packet of at most so many finest voxels stays together in bricks */
 };
 #define WIDEST 0.125 /* a packet is not made when it is wider than this part of the root */
 
@@ -375,7 +376,7 @@ INLINE void traverse(packet *p, bool lod, bool any)
         uint32_t rank = (uint32_t)__builtin_popcountll(f->mask & (((uint64_t)1 << cell) - 1));
         uint32_t child = f->child + (s == r->fraction + 2 ? rank : 2 * rank);
         double far = far_side(&p->y, at, s), least = (double)((uint32_t)1 << (s - 2));
-        bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > WIDE * least;
+        bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > (any ? WIDE_ANY : WIDE) * least;
         if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= least;
         if (!alone) {
             s -= 2;
