@@ -208,12 +208,20 @@ static bool take(parser *p, const cli_option *o, const char *shown, const char *
     return true;
 }
 
+static bool is_choice(const cli_option *o, const char *word)
+{
+    if (o->kind != CLI_CHOICE) return false;
+    for (const char *const *c = o->choices; *c != NULL; c++)
+        if (strcmp(*c, word) == 0) return true;
+    return false;
+}
+
 /* The value of an option that stands in the next word. A word that looks like an option is more likely a forgotten
- * value than a file name; numbers may be negative. */
+ * value than a file name; numbers may be negative, and so may choices. */
 static const char *next_value(parser *p, const cli_option *o, const char *shown, int argc, char **argv, int *i)
 {
     const char *next = *i + 1 < argc ? argv[*i + 1] : NULL;
-    bool like_option = next != NULL && next[0] == '-' && next[1] != 0 && (o->kind == CLI_TEXT || o->kind == CLI_CHOICE);
+    bool like_option = next != NULL && next[0] == '-' && next[1] != 0 && (o->kind == CLI_TEXT || o->kind == CLI_CHOICE) && !is_choice(o, next);
     if (next == NULL || like_option) {
         snprintf(p->problem, sizeof p->problem, "%s needs a value", shown);
         return NULL;

@@ -2,7 +2,7 @@
 #ifndef SKELETON_H
 #define SKELETON_H
 
-#include "cli.h"
+#include "cli_axes.h"
 #include "fmt_skel.h"
 #include "skel_repair.h"
 #include "svo_mesh.h"
@@ -19,6 +19,7 @@ typedef struct skeleton_options {
     const char *glb, *obj, *swc;
     uint64_t influences, smoothing, solid_divide, draco;
     const char *bind, *bound, *solid, *reconstruct, *refine, *segments;
+    cli_axes axes;
 } skeleton_options;
 
 /* What is read and what is made of it. Zero-initialise; free by skeleton_input_free. */

@@ -87,6 +87,7 @@ static svo_result from_mesh(cli *c, const skeleton_options *o, const skel_option
     json_array_append_new(in->provenance, cli_provenance_input(c->inputs[0], hash));
     fmt_import_options import = {.allocator = library->allocator, .threads = (uint32_t)c->threads, .skip_images = o->glb == NULL, .warnings = &c->warnings};
     SVO_TRY(fmt_import_mesh(c->inputs[0], &import, &in->mesh, err));
+    cli_turn_mesh(&o->axes, &in->mesh);
     svo_mesh_counts n = svo_mesh_count(&in->mesh);
     json_t *input = cli_section(c, "input");
     cli_put_text(input, "kind", "mesh");
@@ -115,6 +116,7 @@ svo_result skeleton_build(cli *c, const skeleton_options *o, const skel_options 
     bool voxels = strcmp(path, "-") == 0; /* stdin is for our own formats */
     if (!voxels) SVO_TRY(is_container(path, &voxels, err));
     if (!voxels) return from_mesh(c, o, library, memory, in, out, err);
+    if (cli_axes_given(&o->axes)) return svo_fail(err, SVO_UNSUPPORTED, "--up and --unit are for meshes; this input is voxels");
     if (o->repair != REPAIR_OWN || o->tessellate != TESSELLATE_OWN)
         return svo_fail(err, SVO_UNSUPPORTED, "%s works on the triangles of a mesh; this input is voxels", o->repair != REPAIR_OWN ? "--repair" : "--tessellate");
     fmt_input *file;

@@ -53,6 +53,7 @@ static char *provenance_of(const cli *c, const skeleton_options *o, json_t *inpu
     if (o->repair != REPAIR_OWN) cli_put_text(how, "repair", repairs[o->repair]);
     if (o->tessellate != TESSELLATE_OWN) cli_put_text(how, "tessellate", tessellations[o->tessellate]);
     if (o->refine != NULL) cli_put_text(how, "refine", o->refine);
+    cli_put_axes(how, &o->axes);
     return cli_provenance(c, how, json_incref(inputs));
 }
 
@@ -98,6 +99,9 @@ int main(int argc, char **argv)
          .help = "inside: joints in the middle of the solid, ends out to the tips, bones kept inside; centroid: of the surface that belongs to them; contracted: where they were contracted to."},
         {.name = "refine", .kind = CLI_TEXT, .value = &o.refine, .argument = "BONES@W", .no_default = true, .group = "Curve",
          .help = "Make these bones again with omega W: 3,7-12 (numbers without refinement), ends, thin:R, ball:X,Y,Z,R or box:X0,Y0,Z0,X1,Y1,Z1; several with ; between."},
+        {.name = "up", .kind = CLI_CHOICE, .value = &o.axes.up, .choices = cli_axes_ups, .argument = "AXIS", .group = "Input", .help = "The axis of the mesh that points up; it becomes +Y, by quarter turns."},
+        {.name = "unit", .kind = CLI_TEXT, .value = &o.axes.unit, .argument = "U", .no_default = true, .group = "Input",
+         .help = "The mesh's unit of length, m km cm mm in ft or a number of metres: lengths become metres. Without it they stay as they are."},
         {.name = "repair", .kind = CLI_CHOICE, .value = &o.repair, .choices = repairs, .argument = "BY", .group = "Input",
          .help = "own: points at one place are one, triangles at one place are one, nothing else is needed; cgal: CGAL's repair of polygon soups before (turns triangles, cuts apart what is no manifold), with its counts in the report."},
         {.name = "tessellate", .kind = CLI_CHOICE, .value = &o.tessellate, .choices = tessellations, .argument = "BY", .group = "Input",
@@ -156,6 +160,7 @@ int main(int argc, char **argv)
     int code = cli_begin(&c, &tool, argc, argv);
     if (code >= 0) return code;
     if (c.output == NULL) return cli_usage(&c, "-o OUT.skel is needed");
+    if ((code = cli_take_axes(&c, &o.axes)) >= 0) return code;
     if (o.draco != 0 && (o.draco < 8 || o.glb == NULL)) return cli_usage(&c, o.glb == NULL ? "--draco compresses the mesh of --glb, which is not given" : "--draco takes 8 to 24 bits, or 0");
     if ((o.bind == NULL) != (o.bound == NULL)) return cli_usage(&c, "--bind IN.svo and --bound OUT.svo need each other");
     const char *const files[] = {c.output, o.glb, o.obj, o.swc, o.bound, o.solid, o.reconstruct, o.segments};

@@ -46,6 +46,7 @@ typedef struct tool_options {
     const char *columns, *raw;
     uint64_t min_points;
     bool has_min_points;
+    cli_axes axes;
 } tool_options;
 
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
@@ -213,6 +214,7 @@ static svo_result identify(cli *c, const tool_options *o, json_t *inputs, const 
     cli_put_text(how, "surface", surfaces[o->surface]);
     cli_put_text(how, "fill", fills[o->fill]);
     cli_put_text(how, "attributes", o->attributes);
+    cli_put_axes(how, &o->axes);
     j->provenance = cli_provenance(c, how, json_incref(inputs));
     char *what = j->provenance != NULL ? malloc(strlen(j->provenance) + 64) : NULL;
     if (what == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
@@ -360,6 +362,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
     if (r == SVO_OK) r = import_all(c, &limit.base, j.spill, pager, &mesh, inputs, &read, err);
     if (r == SVO_OK) {
+        cli_turn_mesh(&o->axes, &mesh);
         report_input(c, &mesh);
         r = identify(c, o, inputs, &read, &j, err);
         if (r == SVO_OK && o->key) {
@@ -393,7 +396,10 @@ int main(int argc, char **argv)
         {.name = "depth", .letter = 'd', .kind = CLI_U64, .value = &o.depth, .argument = "D", .max = SVO_MAX_DEPTH, .seen = &o.has_depth, .no_default = true,
          .help = "The longest side of the bounding box becomes 2^D voxels."},
         {.name = "voxel-size", .kind = CLI_DOUBLE, .value = &o.voxel_size, .argument = "S", .min = 1e-90, .max = 1e90, .seen = &o.has_size, .no_default = true,
-         .help = "Edge of a voxel in the mesh's units, instead of --depth; the grid lies on multiples of S."},
+         .help = "Edge of a voxel, instead of --depth, in the mesh's units (in metres with --unit); the grid lies on multiples of S."},
+        {.name = "up", .kind = CLI_CHOICE, .value = &o.axes.up, .choices = cli_axes_ups, .argument = "AXIS", .help = "The axis of the input that points up; it becomes +Y, by quarter turns."},
+        {.name = "unit", .kind = CLI_TEXT, .value = &o.axes.unit, .argument = "U", .no_default = true,
+         .help = "The input's unit of length, m km cm mm in ft or a number of metres: lengths become metres. Without it they stay as they are."},
         {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "HOW", .help = "Voxels of the surface, or of the inside too."},
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "HOW",
          .help = "conservative: every voxel that the surface touches; thin: those whose centre lines it crosses."},
@@ -458,8 +464,10 @@ int main(int argc, char **argv)
     }
     if (o.depfile != NULL && !o.key && !o.dry_run && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
+    if ((code = cli_take_axes(&c, &o.axes)) >= 0) return code;
     svo_error err = {0};
     if (o.raw != NULL || voxelize_is_cells(c.inputs[0])) {
+        if (cli_axes_given(&o.axes)) return cli_usage(&c, "--up and --unit are for meshes and points; the format of voxels says both");
         if (c.input_count != 1 || (o.has_size && o.raw == NULL) || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
             return cli_usage(&c, "a file of voxels is taken alone and as it is, without --voxel-size, --fill, --surface, --shard and --dry-run");
         cells_options cells = {.depth = (uint32_t)o.depth, .temp_size = o.temp_size, .has_depth = o.has_depth, .raw = o.raw, .raw_size = o.has_size ? o.voxel_size : 0, .small = o.disk != 0, .key = o.key, .threshold = o.has_threshold ? &o.threshold : NULL,
@@ -475,7 +483,7 @@ int main(int argc, char **argv)
         if (o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)
             return cli_usage(&c, "points have no surface: they are taken without --fill, --surface, --shard and --dry-run");
         points_options p = {.depth = (uint32_t)o.depth, .voxel_size = o.has_size ? o.voxel_size : 0, .least = o.min_points, .small = o.disk != 0, .key = o.key, .attributes = o.attributes,
-                            .columns = o.columns, .depfile = o.depfile, .temp = o.temp, .temp_size = o.temp_size, .level = (int)o.level};
+                            .columns = o.columns, .axes = &o.axes, .depfile = o.depfile, .temp = o.temp, .temp_size = o.temp_size, .level = (int)o.level};
         svo_result taken = voxelize_points(&c, &p, &err);
         return cli_end(&c, taken, &err);
     }

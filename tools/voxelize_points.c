@@ -40,6 +40,13 @@ typedef struct job {
 
 static svo_result no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory"); }
 
+/* From the file's axes and unit. */
+static void turn(const job *j, const double from[3], double to[3])
+{
+    const svo_vec3 v = svo_mat4_vector(&j->o->axes->matrix, svo_v3(from[0], from[1], from[2]));
+    to[0] = v.x, to[1] = v.y, to[2] = v.z;
+}
+
 /* --- what there is --- */
 
 static void join(fmt_points_survey *to, const fmt_points_survey *s, bool first)
@@ -78,6 +85,11 @@ static svo_result open_all(job *j, json_t *inputs, svo_error *err)
         if (s->columns[0] != 0) cli_verbose(c, "%s: columns are %s", c->inputs[i], s->columns);
         join(&j->all, s, i == 0);
     }
+    /* Quarter turns and a scale map bounds to bounds, number by number. */
+    double corner[2][3];
+    turn(j, j->all.low, corner[0]);
+    turn(j, j->all.high, corner[1]);
+    for (int k = 0; k < 3; k++) j->all.low[k] = fmin(corner[0][k], corner[1][k]), j->all.high[k] = fmax(corner[0][k], corner[1][k]);
     return SVO_OK;
 }
 
@@ -159,6 +171,7 @@ static svo_result identify(job *j, json_t *inputs, uint8_t key[16], svo_error *e
     if (o->columns != NULL) cli_put_text(how, "columns", o->columns);
     if (o->least > 1) cli_put_u64(how, "min_points", o->least);
     cli_put_text(how, "attributes", o->attributes);
+    cli_put_axes(how, o->axes);
     j->provenance = cli_provenance(j->c, how, json_incref(inputs));
     char *what = j->provenance != NULL ? malloc(strlen(j->provenance) + 80) : NULL;
     if (what == NULL) return no_memory(err);
@@ -175,12 +188,17 @@ static uint16_t unit16(double v) { return v > 0 ? v < 1 ? (uint16_t)(v * 65535 +
 static void sample_of(const job *j, const fmt_point *p, svo_sample *s)
 {
     uint32_t cell[3];
-    svo_grid_cell(&j->grid, p->at, cell);
+    double at[3];
+    turn(j, p->at, at);
+    svo_grid_cell(&j->grid, at, cell);
     *s = (svo_sample){.code = svo_morton_encode(cell[0], cell[1], cell[2]), .has = (uint16_t)p->has};
     for (int k = 0; k < 3; k++) s->color[k] = unit16((double)p->color[k]);
     if (p->has & SVO_SAMPLE_NORMAL) {
-        const svo_vec3 n = svo_normalize(svo_v3((double)p->normal[0], (double)p->normal[1], (double)p->normal[2]));
-        const double v[3] = {n.x, n.y, n.z};
+        const double own[3] = {(double)p->normal[0], (double)p->normal[1], (double)p->normal[2]};
+        double v[3];
+        turn(j, own, v);
+        const svo_vec3 n = svo_normalize(svo_v3(v[0], v[1], v[2]));
+        v[0] = n.x, v[1] = n.y, v[2] = n.z;
         for (int k = 0; k < 3; k++) s->normal[k] = (int16_t)floor(v[k] * 32767 + 0.5);
     }
     if (p->has & SVO_SAMPLE_VALUE) s->value = unit16(j->intensity_range > 0 ? ((double)p->intensity - j->intensity_low) / j->intensity_range : 0);

@@ -2,7 +2,7 @@
 #ifndef VOXELIZE_POINTS_H
 #define VOXELIZE_POINTS_H
 
-#include "cli.h"
+#include "cli_axes.h"
 
 typedef struct points_options {
     uint32_t depth;
@@ -10,6 +10,7 @@ typedef struct points_options {
     uint64_t least;    /* points that make a voxel */
     bool small, key;
     const char *attributes, *columns, *depfile, *temp;
+    const cli_axes *axes;
     uint64_t temp_size;
     int level;
 } points_options;

@@ -84,6 +84,51 @@ def test_voxel_size(folder):
     check(d["depth"] == 2 and d["voxels"] == 4**3 - 2**3 and d["voxel_to_world"][0] == 0.25 and d["voxel_to_world"][3] == 0, d)
 
 
+def turned(up, p):
+    """A right turn that takes the axis `up` to +Y."""
+    x, y, z = p
+    return {"y": (x, y, z), "-y": (x, -y, -z), "x": (-y, x, z), "-x": (y, -x, z), "z": (x, z, -y), "-z": (x, -z, y)}[up]
+
+
+def test_axes_and_units(folder):
+    """--up and --unit give the bytes of the same shape written down turned and in metres; normals turn too."""
+    points = [(0.25, 0.5, 1), (3, 0.5, 1.25), (0.5, 2, 4), (1, 1, 1.5)]
+    faces = "f 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n"
+    plain = lambda path, scale, up: path.write_text("".join("v %r %r %r\n" % tuple(scale * c for c in turned(up, p)) for p in points) + faces)
+    strip = lambda path: {k: v for k, v in run("svo-dump", path, "--json").json.items() if k in ("voxel_to_world", "voxels", "attributes", "levels")}
+    same = lambda a, b: run("svo-compare", a, b, "-q").code == 0 and strip(a) == strip(b)
+    plain(folder / "as.obj", 1, "y")
+    for up in ("y", "-y", "x", "-x", "z", "-z"):
+        for unit, scale in ((None, 1), ("0.5", 0.5), ("km", 1000)):
+            plain(folder / "to.obj", scale, up)
+            run("svo-voxelize", folder / "to.obj", "-o", folder / "to.svo", "-d", 6, "-f", "-q")
+            more = ["--up", up] + (["--unit", unit] if unit else [])
+            run("svo-voxelize", folder / "as.obj", "-o", folder / "as.svo", "-d", 6, "-f", "-q", *more)
+            check(same(folder / "as.svo", folder / "to.svo"), more)
+    run("svo-voxelize", folder / "as.obj", "-o", folder / "mm.svo", "--unit", "mm", "--up", "z", "--voxel-size", 0.0001, "-q")
+    info = run("svo-dump", folder / "mm.svo", "--json").json
+    check(abs(info["voxel_size"][0] - 0.0001) < 1e-12 and abs(info["bounds"]["high"][0] - 0.003) < 2e-4, info["bounds"])
+    check(info["provenance"]["options"]["up"] == "z" and info["provenance"]["options"]["unit"] == 0.001, info["provenance"])
+    # the key knows them
+    key = lambda *more: run("svo-voxelize", folder / "as.obj", "--key", "-d", 6, *more).out
+    check(len({key(), key("--up", "z"), key("--unit", "mm"), key("--unit", "0.01")}) == 4 and key("--unit", "cm") == key("--unit", "0.01"))
+    # points
+    (folder / "as.xyz").write_text("".join("%r %r %r\n" % p for p in points))
+    (folder / "to.xyz").write_text("".join("%r %r %r\n" % tuple(0.5 * c for c in turned("-x", p)) for p in points))
+    run("svo-voxelize", folder / "as.xyz", "-o", folder / "as.svo", "-d", 5, "-f", "-q", "--up", "-x", "--unit", 0.5)
+    run("svo-voxelize", folder / "to.xyz", "-o", folder / "to.svo", "-d", 5, "-f", "-q")
+    check(same(folder / "as.svo", folder / "to.svo"))
+    # a skeleton lies in the same coordinates
+    support.sphere_obj(folder / "ball.obj", rings=12)
+    run("svo-skeleton", folder / "ball.obj", "-o", folder / "ball.skel", "--unit", "cm", "--up", "z", "--omega", 0.2, "--obj", folder / "curve.obj", "-q")
+    curve = [tuple(map(float, l.split()[1:4])) for l in (folder / "curve.obj").read_text().splitlines() if l.startswith("v ")]
+    check(curve and all(abs(x) < 0.02 for p in curve for x in p), curve)
+    # refused
+    for more in (["--unit", "yard"], ["--unit", "0"], ["--unit", "-1"], ["--unit", "nan"], ["--unit", "1m"], ["--up", "w"]):
+        check(tool("svo-voxelize", folder / "as.obj", "-o", folder / "x.svo", "-d", 4, *more).code == 1 and not (folder / "x.svo").exists(), more)
+    check(tool("svo-skeleton", folder / "as.svo", "-o", folder / "x.skel", "--up", "z").code == 5 and not (folder / "x.skel").exists())
+
+
 def test_empty_mesh_warns(folder):
     (folder / "e.obj").write_text("v 0 0 0\n")
     r = run("svo-voxelize", folder / "e.obj", "-o", folder / "e.svo", "--depth", 4)
