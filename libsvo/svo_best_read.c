@@ -319,7 +319,16 @@ INLINE bool find_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bo
     uint32_t world = b->root_turn, to_stored = svoi_turn_inverse(world), bit = v->tree_depth - 1;
     uint64_t size = b->attribute_count, attribute = 0;
     uint32_t level = 0;
-    if (v->top != NULL) {
+    if (v->top != NULL && v->top->record != NULL) {
+        svoi_record_block found;
+        if (!svoi_records_descend(v, x, y, z, numbered, &found)) return false;
+        attribute = found.attribute;
+        if (found.full) {
+            *index = attribute;
+            return true;
+        }
+        n = (svoi_best_node){found.at, found.mask}, to_stored = found.turn, world = svoi_turn_inverse(found.turn), level = b->block_level;
+    } else if (v->top != NULL) {
         const svoi_top_cell *cell = svoi_top_find(v->top, x, y, z);
         if (cell == NULL) return false;
         attribute = cell->attribute;

@@ -59,6 +59,7 @@ static void join_cells(svoi_top *t, uint64_t *code)
         }
         count = parents;
         end -= parents;
+        if (step + 1 == t->steps) t->last_step = end;
         below = end;
     }
     SVO_ASSERT(count == 1 && end == 0);
@@ -71,12 +72,22 @@ static uint64_t count_nodes(const svo_view *v, uint32_t level)
     return n;
 }
 
+/* What records and their cells replace. */
+static void free_wide(svoi_top *t, const svo_allocator *a)
+{
+    svo_free(a, t->size, t->cell_count, sizeof *t->size);
+    svo_free(a, t->node, t->node_count, sizeof *t->node);
+    svo_free(a, t->cell, t->cell_count, sizeof *t->cell);
+    t->size = NULL, t->node = NULL, t->cell = NULL;
+}
+
 svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *a)
 {
     if (v->empty || v->depth < 4 || (v->layout != SVO_LAYOUT_FAST && v->layout != SVO_LAYOUT_BEST)) return NULL;
     uint64_t bytes = v->layout == SVO_LAYOUT_FAST ? v->fast.tree_bytes : v->best_stream_bytes;
+    const uint32_t lowest = v->brick_level < 4 ? v->brick_level - 1 : v->brick_level - 2; /* 16^3, so that there are records */
     uint32_t level = 0;
-    while (level + 1 < v->brick_level && v->nodes[level + 1] <= cells) level++;
+    while (level < lowest && v->nodes[level + 1] <= cells) level++;
     while (level >= 2 && count_nodes(v, level) > cells) level--;
     if (level < 2 || bytes >> (SVOI_TOP_PLACE_BITS - 3) != 0) return NULL;
     svoi_top *t = svo_calloc(a, 1, sizeof *t);
@@ -96,7 +107,8 @@ svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *
         join_cells(t, code);
     }
     svo_free(a, code, t->cell_count, sizeof *code);
-    if (ok && v->layout == SVO_LAYOUT_FAST && !v->unnumbered) svoi_near_make(t, v, a);
+    if (ok) svoi_records_make(t, v, a);
+    if (!ok || t->record != NULL) free_wide(t, a);
     if (ok) return t;
     svoi_top_free(t, a);
     return NULL;
@@ -111,10 +123,7 @@ void svo_view_accelerate(svo_view *v, const svo_allocator *a)
 void svoi_top_free(svoi_top *t, const svo_allocator *a)
 {
     if (t == NULL) return;
-    svo_free(a, t->near, t->near_count, sizeof *t->near);
-    svo_free(a, t->bucket, t->bucket_count, sizeof *t->bucket);
-    svo_free(a, t->size, t->cell_count, sizeof *t->size);
-    svo_free(a, t->node, t->node_count, sizeof *t->node);
-    svo_free(a, t->cell, t->cell_count, sizeof *t->cell);
+    svoi_records_free(t, a);
+    free_wide(t, a);
     svo_free(a, t, 1, sizeof *t);
 }

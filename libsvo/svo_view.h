@@ -289,10 +289,10 @@ svo_result svo_view_grid_bounds(const svo_view *v, const svo_allocator *a, bool 
 svo_result svo_view_prepare(svo_view *v, const svo_allocator *a, svo_error *err);
 void svo_view_release(svo_view *v, const svo_allocator *a);
 
-/* Make tables that svo_view_voxel uses where the layout is fast or best: of an upper level by place (at most 2 MiB, best 2.5), and of the
- * sizes of small nodes that layout fast leaves to be counted (at most 4 MiB). The first is one walk over 2^16 cells, the second one over
- * the stored nodes above the bricks; deep octrees have none. Only for views that are valid. Without memory there are no tables;
- * results are the same. svo_view_release frees them. Opened files and built octrees have them. */
+/* Make tables that svo_view_voxel uses where the layout is fast or best: of an upper level by place (at most 2.5 MiB) and of the stored
+ * nodes between it and the blocks of 8^3 voxels (at most 9 MiB; deep octrees have none). The first is one walk over 2^16 cells, the second
+ * one over these nodes. Only for views that are valid. Without memory there are no tables; results are the same. svo_view_release
+ * frees them. Opened files and built octrees have them. */
 void svo_view_accelerate(svo_view *v, const svo_allocator *a);
 
 /* Decoded value (stride bytes) of a channel at an attribute index < attribute_count, or of an average. Constant time. */

@@ -1,5 +1,6 @@
 /* Layout 2 ("fast") node by node. */
 #include "svoi_fast.h"
+#include "svo_morton.h"
 
 svo_view_node svo_view_fast_root(const svo_view *v)
 {
@@ -47,6 +48,14 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
     uint32_t turn = v->root, bit = v->tree_depth - 1;
     uint32_t level = 0;
     uint64_t at = v->fast.level[0].begin, attribute = 0, brick, end;
+    if (v->top != NULL && v->top->record != NULL) {
+        svoi_record_block found;
+        if (!svoi_records_descend(v, x, y, z, count, &found)) return false;
+        attribute = found.attribute;
+        if (found.full) goto full;
+        at = found.at, turn = found.turn, bit = 2;
+        goto block;
+    }
     if (v->top != NULL) {
         const svoi_top_cell *cell = svoi_top_find(v->top, x, y, z);
         if (cell == NULL) return false;
@@ -58,21 +67,13 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
     for (; level + 1 < v->brick_level; level++, bit--) {
         uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2;
         uint32_t stored = svoi_turn_octant(turn, octant);
-        if (count && level + 2 == v->brick_level && v->top != NULL && v->top->near != NULL) {
-            const svoi_near_node *near = svoi_near_find(v->top, at);
-            if (near->size[stored] == 0) return false;
-            if (near->begin[stored] != 0) {
-                attribute += (v->lod ? 1 : 0) + svoi_near_size(near, svoi_turn_mask(turn, (1u << octant) - 1));
-                at += near->begin[stored];
-                continue;
-            }
-        }
         svoi_fast_node n = svoi_fast_open(v, level, at);
         if (!(n.mask >> stored & 1)) return false;
         if (count) attribute += (v->lod ? 1 : 0) + svoi_fast_children_size(v, level, at, &n, svoi_turn_mask(turn, (1u << octant) - 1));
         if (!(n.refs >> stored & 1)) goto full;
         at = svoi_fast_find(v, level, &n, svoi_fast_slot(n.refs, stored), &turn);
     }
+block:;
     uint32_t b = (uint32_t)svo_morton_encode(x & 3, y & 3, z & 3);
     uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2, change;
     uint32_t stored = svoi_turn_octant(turn, octant);

@@ -204,7 +204,7 @@ static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level
             size += svoi_fast_bits64(v, n->sizes + bits * (uint32_t)__builtin_popcount(n->mask & ((which & (0u - which)) - 1)), bits);
         return size;
     }
-    if (v->top != NULL && v->top->near != NULL) return svoi_near_size(svoi_near_find(v->top, begin), which);
+    if (v->top != NULL && v->top->record != NULL) return svoi_record_size(svoi_record_find(v->top, begin), which);
     /* of nodes of 16^3: their children are blocks, whose bricks are counted */
     uint64_t inner = n->inner, codes = n->codes;
     const svo_view_fast_level *l = &v->fast.level[level];

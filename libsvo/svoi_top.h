@@ -3,15 +3,16 @@
  *
  * 1. The cells of one upper level, by place, so that a look-up need not begin at the root: a 64-ary tree with a mask a node, each step two levels: a step is one look into a node of 16 bytes. It leads to the
  * cells of `level`, in the order of the grid, each with what the layout needs to go on from there.
- * 2. For layout fast, the stored nodes of 16^3 voxels: the sizes of their children, which the file leaves to be counted, and
- * where they begin. */
+ * 2. All stored nodes from that level down to 16^3 voxels, where they are few enough: a record of one cache line each with the sizes of the
+ * children and where they are, so that a look-up decodes nothing above the blocks (8^3). Then the cells of 1 name records and take 8 bytes. */
 #ifndef SVOI_TOP_H
 #define SVOI_TOP_H
 
-#include "svo_morton.h"
+#include <string.h>
+
 #include "svoi_best.h"
 
-enum { SVOI_TOP_CELLS = 1 << 16, SVOI_NEAR_NODES = 80000, SVOI_NEAR_SHIFT = 8 }; /* at most */
+enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 17, SVOI_RECORD_SHIFT = 8, SVOI_RECORD_BITS = 26 }; /* at most */
 
 typedef struct svoi_top_node {
     uint64_t mask;  /* children: 4x4x4 cells in Morton order */
@@ -24,52 +25,125 @@ typedef struct svoi_top_cell {
 } svoi_top_cell;
 #define SVOI_TOP_FULL UINT64_MAX /* inside a full leaf, whose attribute it has */
 
-/* A stored node of 16^3 voxels. Its children, by stored octant. */
-typedef struct svoi_near_node {
-    uint32_t at;       /* bit position; ascending in the table */
-    uint16_t size[8];  /* attributes; 0: no child */
-    uint16_t begin[8]; /* position less the node's; 0: in a pool, or a full leaf */
-} svoi_near_node;
+/* The same where there are records. */
+typedef struct svoi_record_step {
+    uint64_t mask;
+    uint64_t link; /* bits 0..23 as svoi_top_node.first; above them, in the last step, the least attribute of the children */
+} svoi_record_step;
+typedef struct svoi_record_cell {
+    uint32_t child;     /* as svoi_record.child */
+    uint32_t attribute; /* less the step's */
+} svoi_record_cell;
+
+/* A stored node of 16^3 voxels or more; children by stored octant. */
+typedef struct svoi_record {
+    uint16_t size[8];  /* attributes of a child (1 where nothing is numbered); 0: no child */
+    uint32_t child[8]; /* number of its record, of a block its bit position; shifted by 6, and below the turn from this frame to its own */
+    uint8_t mask[8];   /* layout best: child mask of a block */
+    uint32_t at;       /* bit position, ascending in a level */
+    uint32_t total;    /* layout best: attributes of the subtree */
+} svoi_record;
+#define SVOI_RECORD_FULL UINT32_MAX /* a full leaf */
+_Static_assert(sizeof(svoi_record) == 64, "one cache line");
 
 typedef struct svoi_top {
     uint32_t level, shift; /* of the cells; tree_depth - level */
     uint32_t steps;
-    uint64_t node_count, cell_count;
+    uint64_t node_count, cell_count, last_step; /* first node of the last step */
     svoi_top_node *node; /* of all steps, the root first */
-    svoi_top_cell *cell;
+    svoi_top_cell *cell; /* NULL: record_cell instead */
     uint64_t *size; /* layout best: attributes of the cell's subtree */
-    svoi_near_node *near; /* NULL: none */
-    uint32_t *bucket;     /* number of the first node at or behind bit i << SVOI_NEAR_SHIFT */
-    uint64_t near_count, bucket_count;
+    svoi_record *record; /* NULL: none */
+    svoi_record_step *record_step;
+    svoi_record_cell *record_cell;
+    uint64_t record_count, bottom; /* first record of 16^3 voxels */
+    uint32_t *bucket;     /* number of the first of them at or behind bit i << SVOI_RECORD_SHIFT */
+    uint64_t bucket_count;
 } svoi_top;
+
+/* Place of a voxel's cell among the 64 of a step: two bits of each coordinate from bit k on. */
+static inline uint32_t svoi_step_bit(uint32_t x, uint32_t y, uint32_t z, uint32_t k)
+{
+    static const uint8_t spread[3][4] = {{0, 1, 8, 9}, {0, 2, 16, 18}, {0, 4, 32, 36}};
+    return (uint32_t)spread[0][x >> k & 3] | spread[1][y >> k & 3] | spread[2][z >> k & 3];
+}
 
 /* The cell that holds a voxel; NULL: it is empty. */
 static inline const svoi_top_cell *svoi_top_find(const svoi_top *t, uint32_t x, uint32_t y, uint32_t z)
 {
-    uint64_t code = svo_morton_encode(x >> t->shift, y >> t->shift, z >> t->shift), at = 0;
-    for (uint32_t shift = 6 * t->steps; shift != 0;) {
-        shift -= 6;
+    uint64_t at = 0;
+    for (uint32_t step = t->steps; step != 0;) {
+        step--;
         const svoi_top_node *n = &t->node[at];
-        uint32_t bit = code >> shift & 63;
+        uint32_t bit = svoi_step_bit(x, y, z, t->shift + 2 * step);
         if (!(n->mask >> bit & 1)) return NULL;
         at = n->first + (uint64_t)__builtin_popcountll(n->mask & (((uint64_t)1 << bit) - 1));
     }
     return &t->cell[at];
 }
 
-/* The node of 16^3 voxels that begins at this bit. */
-static inline const svoi_near_node *svoi_near_find(const svoi_top *t, uint64_t at)
+/* The record of a node of 16^3 voxels that begins at this bit. */
+static inline const svoi_record *svoi_record_find(const svoi_top *t, uint64_t at)
 {
-    const svoi_near_node *n = &t->near[t->bucket[at >> SVOI_NEAR_SHIFT]];
+    const svoi_record *n = &t->record[t->bucket[at >> SVOI_RECORD_SHIFT]];
     while (n->at != (uint32_t)at) n++;
     return n;
 }
-/* Attributes of its children in the stored octants of `which`. */
-static inline uint32_t svoi_near_size(const svoi_near_node *n, uint32_t which)
+/* Attributes of its children in the stored octants of `which`: four sizes at once, added in pairs. */
+static inline uint32_t svoi_record_size(const svoi_record *n, uint32_t which)
 {
-    uint32_t size = 0;
-    for (uint32_t o = 0; o < 8; o++) size += n->size[o] & (0u - (which >> o & 1));
-    return size;
+    const uint64_t even = 0x0000ffff0000ffffu, ones = 0x0001000100010001u, bits = 0x0008000400020001u;
+    uint64_t s[2];
+    memcpy(s, n->size, sizeof s);
+    for (uint32_t i = 0; i < 2; i++, which >>= 4) {
+        uint64_t m = (which & 15) * ones & bits; /* one bit a lane */
+        m = ((m + 0x7fff * ones) >> 15 & ones) * 0xffff;
+        s[i] &= m;
+        s[i] = (s[i] & even) + (s[i] >> 16 & even);
+    }
+    s[0] += s[1];
+    return (uint32_t)(s[0] + (s[0] >> 32));
+}
+
+/* From the root to the block (8^3) of a voxel, where there are records. */
+typedef struct svoi_record_block {
+    uint64_t attribute; /* of the block; where it lies in a full leaf, of that */
+    uint32_t at, mask;  /* bit position */
+    uint32_t turn;      /* from the grid to the block's frame */
+    bool full;
+} svoi_record_block;
+/* False: it is empty. Attributes only where they are counted. */
+static inline bool svoi_records_descend(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, bool count, svoi_record_block *out)
+{
+    const svoi_top *t = v->top;
+    uint64_t at = 0, link = 0;
+    for (uint32_t step = t->steps; step != 0;) {
+        step--;
+        const svoi_record_step *n = &t->record_step[at];
+        uint32_t bit = svoi_step_bit(x, y, z, t->shift + 2 * step);
+        if (!(n->mask >> bit & 1)) return false;
+        link = n->link;
+        at = (link & 0xffffff) + (uint64_t)__builtin_popcountll(n->mask & (((uint64_t)1 << bit) - 1));
+    }
+    const svoi_record_cell *cell = &t->record_cell[at];
+    uint32_t child = cell->child, turn = child & 63;
+    uint64_t attribute = (link >> 24) + cell->attribute;
+    out->mask = 0;
+    for (uint32_t bit = t->shift; bit > 3 && child != SVOI_RECORD_FULL;) {
+        bit--;
+        const svoi_record *n = &t->record[child >> 6];
+        uint32_t octant = (x >> bit & 1) | (y >> bit & 1) << 1 | (z >> bit & 1) << 2, stored = svoi_turn_octant(turn, octant);
+        if (n->size[stored] == 0) return false;
+        if (count) attribute += (v->lod ? 1 : 0) + svoi_record_size(n, svoi_turn_mask(turn, (1u << octant) - 1));
+        child = n->child[stored];
+        turn = svoi_turn_after(child & 63, turn);
+        out->mask = n->mask[stored];
+    }
+    out->attribute = attribute;
+    out->at = child >> 6;
+    out->turn = turn;
+    out->full = child == SVOI_RECORD_FULL;
+    return true;
 }
 
 /* Positions have 50 bits here; in layout fast the 8 of the mask are 0. */
@@ -80,8 +154,9 @@ static inline svoi_best_node svoi_top_node_at(uint64_t place) { return (svoi_bes
 
 /* At most `cells` of them. NULL when the octree has no upper level worth it, or there is no memory. */
 svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *a);
-/* Table 2 of a view of layout fast; none without memory. */
-void svoi_near_make(svoi_top *t, const svo_view *v, const svo_allocator *a);
+/* Table 2; none where the nodes are too many, or without memory. */
+void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a);
+void svoi_records_free(svoi_top *t, const svo_allocator *a);
 void svoi_top_free(svoi_top *t, const svo_allocator *a);
 
 #endif

@@ -1,6 +1,6 @@
 /* Sizes and rates of the layouts of a packed octree on the same voxels, in one run.
  *
- *     bench_geometry [-c] [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]
+ *     bench_geometry [-c] [-s] [-n ROUNDS] [-q QUERIES] A.svdag [B.svdag ...]
  *
  * Every layout is made of the voxels of A twice: without attributes (nothing is numbered) and with one 8-bit channel that
  * varies, lod on (every node is numbered). Bits are geometry only, a finest voxel and a node of the octree.
@@ -10,7 +10,11 @@
  *   near     ns: without index, at cells next to random voxels (about half are empty)
  *   primary  Mray/s, 1280x720 in blocks of 4x4, seen from outside
  *   random   Mray/s, chords through the box
- * -c: as CSV. Layouts take turns; the best of the repeats counts, of the thread's CPU time. */
+ * -c: as CSV. -s: rates alone, without the unnumbered octrees (their sizes are 0).
+ *
+ * Rates are those of numbered octrees. Layouts take turns in short rounds: a slice of the questions that is not counted, so that a layout
+ * finds the caches as it leaves them, and then the next slice, in the thread's CPU time. A ratio is the median of the rounds' ratios to
+ * layout 1, a time that of layout 1 in its median round times the ratio: what else the machine does then falls on all layouts alike. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdio.h>
@@ -25,7 +29,7 @@
 #include "svo_render.h"
 #include "svo_unpack.h"
 
-enum { LAYOUTS = 4, RAY_SETS = 2, BATCH = 256 };
+enum { LAYOUTS = 4, RAY_SETS = 2, BATCH = 256, KINDS = 5, MOST_ROUNDS = 1001 };
 static const char *const layout_names[LAYOUTS] = {"svdag", "fast", "symmetric", "best"};
 static const svo_geometry layout_ids[LAYOUTS] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
 
@@ -125,13 +129,14 @@ static bool pick(void *user, uint32_t x, uint32_t y, uint32_t z, uint64_t index)
     return true;
 }
 
-static double query(const svo_view *v, const cells *c, bool index, uint64_t *check)
+/* A slice of the questions. Returns seconds. */
+static double query(const svo_view *v, const cells *c, uint64_t first, uint64_t count, bool index, uint64_t *check)
 {
     double start = seconds(CLOCK_THREAD_CPUTIME_ID);
     uint64_t sum = 0, i = 0;
-    for (uint64_t k = 0; k < c->count; k++) sum += svo_view_voxel(v, c->cell[k][0], c->cell[k][1], c->cell[k][2], index ? &i : NULL) + 3 * i;
-    *check = sum;
-    return 1e9 * (seconds(CLOCK_THREAD_CPUTIME_ID) - start) / (double)c->count;
+    for (uint64_t k = first; k < first + count; k++) sum += svo_view_voxel(v, c->cell[k][0], c->cell[k][1], c->cell[k][2], index ? &i : NULL) + 3 * i;
+    *check += sum;
+    return seconds(CLOCK_THREAD_CPUTIME_ID) - start;
 }
 
 typedef struct rays { svo_ray *ray; uint64_t count; } rays;
@@ -169,102 +174,146 @@ static void make_rays(const svo_view *v, rays sets[RAY_SETS])
     }
 }
 
-static double cast(const svo_view *v, const rays *r, uint64_t *check)
+static double cast(const svo_view *v, const rays *r, uint64_t first, uint64_t count, uint64_t *check)
 {
     static svo_hit hits[BATCH];
     uint64_t sum = 0;
     double start = seconds(CLOCK_THREAD_CPUTIME_ID);
-    for (uint64_t i = 0; i < r->count; i += BATCH) {
-        uint32_t n = r->count - i < BATCH ? (uint32_t)(r->count - i) : BATCH;
+    for (uint64_t i = first; i < first + count; i += BATCH) {
+        uint32_t n = first + count - i < BATCH ? (uint32_t)(first + count - i) : BATCH;
         svo_raycast(v, r->ray + i, n, hits);
         for (uint32_t k = 0; k < n; k++) sum += hits[k].hit ? 1 + hits[k].attribute + 5 * (uint64_t)hits[k].cell[0] : 0;
     }
-    *check = sum;
-    return (seconds(CLOCK_THREAD_CPUTIME_ID) - start) / (double)r->count;
+    *check += sum;
+    return seconds(CLOCK_THREAD_CPUTIME_ID) - start;
 }
 
-static void measure(const char *path, const svo_view *v, int repeats, uint64_t queries, bool csv)
+/* --- measuring ---------------------------------------------------------------------------------------------------- */
+
+typedef struct questions { cells hit, near; rays set[RAY_SETS]; } questions;
+
+static uint64_t questions_count(const questions *q, int kind) { return kind < 3 ? q->hit.count : q->set[kind - 3].count; }
+
+static double ask(const svo_view *v, const questions *q, int kind, uint64_t first, uint64_t count, uint64_t *check)
 {
-    enum { KINDS = 5 };
-    svo_packed *packed[LAYOUTS][2];
-    double cpu[LAYOUTS][2], best[LAYOUTS][KINDS];
-    uint64_t bytes[LAYOUTS][2], svo_nodes = 0;
+    if (kind < 3) return query(v, kind == 2 ? &q->near : &q->hit, first, count, kind == 0, check);
+    return cast(v, &q->set[kind - 3], first, count, check);
+}
+
+static int compare_doubles(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+static double median(double *of, int n)
+{
+    qsort(of, (size_t)n, sizeof *of, compare_doubles);
+    return n % 2 != 0 ? of[n / 2] : 0.5 * (of[n / 2 - 1] + of[n / 2]);
+}
+
+/* Seconds a question of layout 1, and of each layout as a multiple of that. */
+static void measure_kind(const char *path, svo_packed *packed[LAYOUTS][2], const questions *q, int kind, int rounds, double *plain, double ratio[LAYOUTS])
+{
+    static double took[LAYOUTS][MOST_ROUNDS];
+    uint64_t all = questions_count(q, kind), slices = kind < 3 ? all / 20000 : all / 16384, check[LAYOUTS] = {0};
+    if (slices < 2) slices = 2;
+    uint64_t slice = all / slices;
+    for (int r = 0; r < rounds; r++)
+        for (int k = 0; k < LAYOUTS; k++) {
+            int l = (k + r) % LAYOUTS;
+            const svo_view *v = svo_packed_view(packed[l][1]);
+            ask(v, q, kind, (uint64_t)r % slices * slice, slice, &check[l]);
+            took[l][r] = ask(v, q, kind, (uint64_t)(r + 1) % slices * slice, slice, &check[l]) / (double)slice;
+        }
+    for (int l = 1; l < LAYOUTS; l++)
+        if (check[l] != check[0]) fprintf(stderr, "%s: %s gives other answers (%d)\n", path, layout_names[l], kind), exit(1);
+    for (int l = LAYOUTS; l-- > 0;) {
+        for (int r = 0; r < rounds; r++) took[l][r] /= l == 0 ? 1 : took[0][r];
+        ratio[l] = l == 0 ? 1 : median(took[l], rounds);
+    }
+    *plain = median(took[0], rounds);
+}
+
+static void make_questions(const svo_view *v, uint64_t queries, questions *q)
+{
+    q->hit = (cells){.cell = get(queries, sizeof *q->hit.cell), .capacity = queries, .step = v->nodes[v->depth] / queries + 1};
+    svo_view_voxels(v, pick, &q->hit);
+    uint64_t seed = 2;
+    for (uint64_t i = q->hit.count; i > 1; i--) { /* in random order */
+        uint64_t j = random_number(&seed) % i;
+        uint32_t keep[3];
+        memcpy(keep, q->hit.cell[i - 1], sizeof keep);
+        memcpy(q->hit.cell[i - 1], q->hit.cell[j], sizeof keep);
+        memcpy(q->hit.cell[j], keep, sizeof keep);
+    }
+    q->near = (cells){.cell = get(q->hit.count, sizeof *q->near.cell), .count = q->hit.count};
+    for (uint64_t i = 0; i < q->hit.count; i++)
+        for (int k = 0; k < 3; k++) {
+            uint32_t side = (uint32_t)1 << v->depth, x = q->hit.cell[i][k] + (uint32_t)(random_number(&seed) % 17) - 8;
+            q->near.cell[i][k] = x < side ? x : q->hit.cell[i][k];
+        }
+    make_rays(v, q->set);
+}
+
+static void measure(const char *path, const svo_view *v, int rounds, uint64_t queries, bool csv, bool rates)
+{
+    svo_packed *packed[LAYOUTS][2] = {{NULL}};
+    double cpu[LAYOUTS][2], plain[KINDS], ratio[KINDS][LAYOUTS];
+    uint64_t bytes[LAYOUTS][2] = {{0}}, svo_nodes = 0;
     for (int l = 0; l < LAYOUTS; l++)
-        for (int n = 0; n < 2; n++) {
+        for (int n = rates ? 1 : 0; n < 2; n++) {
             packed[l][n] = build(v, layout_ids[l], n != 0, &cpu[l][n]);
             svo_view_section parts[SVO_VIEW_SECTIONS];
             uint32_t count = svo_view_sections(svo_packed_view(packed[l][n]), parts);
-            bytes[l][n] = 0;
             for (uint32_t i = 0; i < count; i++) bytes[l][n] += parts[i].bytes;
         }
     double voxels = (double)v->nodes[v->depth];
     for (uint32_t i = 0; i <= v->depth; i++) svo_nodes += v->nodes[i];
-    cells hit = {.cell = get(queries, sizeof *hit.cell), .capacity = queries, .step = v->nodes[v->depth] / queries + 1};
-    svo_view_voxels(v, pick, &hit);
-    uint64_t seed = 2;
-    for (uint64_t i = hit.count; i > 1; i--) { /* in random order */
-        uint64_t j = random_number(&seed) % i;
-        uint32_t keep[3];
-        memcpy(keep, hit.cell[i - 1], sizeof keep);
-        memcpy(hit.cell[i - 1], hit.cell[j], sizeof keep);
-        memcpy(hit.cell[j], keep, sizeof keep);
-    }
-    cells near = {.cell = get(hit.count, sizeof *near.cell), .count = hit.count};
-    for (uint64_t i = 0; i < hit.count; i++)
-        for (int k = 0; k < 3; k++) {
-            uint32_t side = (uint32_t)1 << v->depth, x = hit.cell[i][k] + (uint32_t)(random_number(&seed) % 17) - 8;
-            near.cell[i][k] = x < side ? x : hit.cell[i][k];
-        }
-    rays sets[RAY_SETS];
-    make_rays(v, sets);
-    for (int r = 0; r < repeats; r++) {
-        uint64_t check[LAYOUTS][KINDS];
-        for (int l = 0; l < LAYOUTS; l++) {
-            const svo_view *w = svo_packed_view(packed[l][1]);
-            double t[KINDS] = {query(w, &hit, true, &check[l][0]), query(w, &hit, false, &check[l][1]), query(w, &near, false, &check[l][2]),
-                               cast(w, &sets[0], &check[l][3]), cast(w, &sets[1], &check[l][4])};
-            for (int k = 0; k < KINDS; k++)
-                if (r == 0 || t[k] < best[l][k]) best[l][k] = t[k];
-        }
-        for (int l = 1; l < LAYOUTS; l++)
-            for (int k = 0; k < KINDS; k++)
-                if (check[l][k] != check[0][k]) fprintf(stderr, "%s: %s gives other answers (%d)\n", path, layout_names[l], k), exit(1);
-    }
+    questions q;
+    make_questions(v, queries, &q);
+    for (int k = 0; k < KINDS; k++) measure_kind(path, packed, &q, k, rounds, &plain[k], ratio[k]);
     const char *name = strrchr(path, '/');
-    for (int l = 0; l < LAYOUTS && csv; l++)
-        printf("%s,%u,%.0f,%llu,%s,%.4f,%.4f,%.4f,%.3f,%.1f,%.1f,%.1f,%.3f,%.3f\n", name ? name + 1 : path, v->depth, voxels, (unsigned long long)svo_nodes,
-               layout_names[l], 8.0 * (double)bytes[l][0] / voxels, 8.0 * (double)bytes[l][1] / voxels, 8.0 * (double)bytes[l][1] / (double)svo_nodes, cpu[l][1],
-               best[l][0], best[l][1], best[l][2], 1e-6 / best[l][3], 1e-6 / best[l][4]);
+    name = name ? name + 1 : path;
+    for (int l = 0; l < LAYOUTS && csv; l++) {
+        printf("%s,%u,%.0f,%llu,%s,%.4f,%.4f,%.4f,%.3f", name, v->depth, voxels, (unsigned long long)svo_nodes, layout_names[l],
+               8.0 * (double)bytes[l][0] / voxels, 8.0 * (double)bytes[l][1] / voxels, 8.0 * (double)bytes[l][1] / (double)svo_nodes, cpu[l][1]);
+        for (int k = 0; k < 3; k++) printf(",%.1f", 1e9 * plain[k] * ratio[k][l]);
+        for (int k = 3; k < KINDS; k++) printf(",%.3f", 1e-6 / (plain[k] * ratio[k][l]));
+        for (int k = 0; k < KINDS; k++) printf(",%.3f", ratio[k][l]);
+        putchar('\n');
+    }
     if (csv) goto done;
-    printf("%s: depth %u, %.0f voxels, %llu nodes\n", name ? name + 1 : path, v->depth, voxels, (unsigned long long)svo_nodes);
-    printf("  %-9s %9s %9s %9s %9s %8s | %7s %7s %7s %9s %8s | ratios to svdag\n", "layout", "b/voxel", "numbered", "b/node", "bytes", "build s",
+    printf("%s: depth %u, %.0f voxels, %llu nodes\n", name, v->depth, voxels, (unsigned long long)svo_nodes);
+    printf("  %-9s %9s %9s %9s %9s %8s | %7s %7s %7s %9s %8s | ratios to svdag: size, times\n", "layout", "b/voxel", "numbered", "b/node", "bytes", "build s",
            "hit", "is", "near", "primary", "random");
     for (int l = 0; l < LAYOUTS; l++) {
-        printf("  %-9s %9.4f %9.4f %9.4f %9llu %8.3f | %7.0f %7.0f %7.0f %9.2f %8.2f |", layout_names[l], 8.0 * (double)bytes[l][0] / voxels,
-               8.0 * (double)bytes[l][1] / voxels, 8.0 * (double)bytes[l][1] / (double)svo_nodes, (unsigned long long)bytes[l][1], cpu[l][1],
-               best[l][0], best[l][1], best[l][2], 1e-6 / best[l][3], 1e-6 / best[l][4]);
-        printf(" size %.3f", (double)bytes[l][1] / (double)bytes[0][1]);
-        for (int k = 0; k < KINDS; k++) printf(" %.2f", best[l][k] / best[0][k]);
+        printf("  %-9s %9.4f %9.4f %9.4f %9llu %8.3f |", layout_names[l], 8.0 * (double)bytes[l][0] / voxels, 8.0 * (double)bytes[l][1] / voxels,
+               8.0 * (double)bytes[l][1] / (double)svo_nodes, (unsigned long long)bytes[l][1], cpu[l][1]);
+        for (int k = 0; k < 3; k++) printf(" %7.1f", 1e9 * plain[k] * ratio[k][l]);
+        printf(" %9.2f %8.2f | %.3f", 1e-6 / (plain[3] * ratio[3][l]), 1e-6 / (plain[4] * ratio[4][l]), (double)bytes[l][1] / (double)bytes[0][1]);
+        for (int k = 0; k < KINDS; k++) printf(" %.2f", ratio[k][l]);
         putchar('\n');
     }
 done:
     for (int l = 0; l < LAYOUTS; l++)
         for (int n = 0; n < 2; n++) svo_packed_free(packed[l][n]);
-    for (int s = 0; s < RAY_SETS; s++) free(sets[s].ray);
-    free(hit.cell);
-    free(near.cell);
+    for (int s = 0; s < RAY_SETS; s++) free(q.set[s].ray);
+    free(q.hit.cell);
+    free(q.near.cell);
 }
 
 int main(int argc, char **argv)
 {
-    int repeats = 5;
+    int rounds = 41;
     uint64_t queries = 400000;
-    bool any = false, csv = false;
+    bool any = false, csv = false, rates = false;
     for (int i = 1; i < argc; i++) {
         if (strcmp(argv[i], "-c") == 0) {
             csv = true;
-            puts("model,depth,voxels,nodes,layout,bits_per_voxel,bits_per_voxel_numbered,bits_per_node_numbered,build_cpu_s,lookup_numbered_ns,lookup_ns,near_ns,primary_mrays,random_mrays");
-        } else if (strcmp(argv[i], "-n") == 0 && i + 1 < argc) repeats = atoi(argv[++i]);
+            puts("model,depth,voxels,nodes,layout,bits_per_voxel,bits_per_voxel_numbered,bits_per_node_numbered,build_cpu_s,lookup_numbered_ns,lookup_ns,near_ns,primary_mrays,random_mrays,"
+                 "lookup_numbered_ratio,lookup_ratio,near_ratio,primary_ratio,random_ratio");
+        } else if (strcmp(argv[i], "-s") == 0) rates = true;
+        else if (strcmp(argv[i], "-n") == 0 && i + 1 < argc) rounds = atoi(argv[++i]);
         else if (strcmp(argv[i], "-q") == 0 && i + 1 < argc) queries = strtoull(argv[++i], NULL, 10);
         else {
             fmt_bytes bytes;
@@ -272,12 +321,12 @@ int main(int argc, char **argv)
             svo_error err;
             must(fmt_bytes_open(argv[i], 0, NULL, &bytes, &err), &err);
             must(fmt_svdag_open(bytes.data, bytes.size, NULL, &dag, &err), &err);
-            if (dag.view.empty || queries == 0 || repeats < 1) return fputs("nothing to measure\n", stderr), 1;
-            measure(argv[i], &dag.view, repeats, queries, csv);
+            if (dag.view.empty || queries == 0 || rounds < 1 || rounds > MOST_ROUNDS) return fputs("nothing to measure\n", stderr), 1;
+            measure(argv[i], &dag.view, rounds, queries, csv, rates);
             fmt_svdag_close(&dag);
             fmt_bytes_close(&bytes);
             any = true;
         }
     }
-    return any ? 0 : (fputs("usage: bench_geometry [-c] [-n REPEATS] [-q QUERIES] A.svdag [B.svdag ...]\n", stderr), 1);
+    return any ? 0 : (fputs("usage: bench_geometry [-c] [-s] [-n ROUNDS] [-q QUERIES] A.svdag [B.svdag ...]\n", stderr), 1);
 }

@@ -412,7 +412,7 @@ TEST(tables_without_memory)
     tree_random(&t, 8, 1, &seed);
     svo_packed *p = build(&t, SVO_LAYOUT_FAST, true, 1, NULL), *plain = build(&t, SVO_LAYOUT_PLAIN, true, 1, NULL);
     svo_view v = *svo_packed_view(p);
-    CHECK(v.top != NULL && v.top->near != NULL);
+    CHECK(v.top != NULL && v.top->record != NULL);
     bool all = false;
     for (uint64_t fail = 1; !all && !test_failed(); fail++) {
         svo_limit_allocator a;
@@ -420,7 +420,7 @@ TEST(tables_without_memory)
         a.fail_at = fail;
         v.top = NULL;
         svo_view_accelerate(&v, &a.base);
-        all = v.top != NULL && v.top->near != NULL;
+        all = v.top != NULL && v.top->record != NULL;
         same_places(svo_packed_view(plain), &v, &t, &seed);
         svo_view_release(&v, &a.base);
         CHECK(v.top == NULL && svo_limit_in_use(&a) == 0);
