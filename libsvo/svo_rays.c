@@ -11,6 +11,7 @@ const char *svo_ray_kernel_name(svo_ray_kernel kernel)
     case SVO_KERNEL_AUTO: return "auto";
     case SVO_KERNEL_PORTABLE: return "portable";
     case SVO_KERNEL_AVX512: return "avx512";
+    case SVO_KERNEL_AVX2: return "avx2";
     }
     return "?";
 }
@@ -109,7 +110,7 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
     b->starts = 0;
     for (uint32_t i = 0; i < b->count;) {
         uint32_t n = b->count - i < SVOI_RAYS_PACKET ? b->count - i : SVOI_RAYS_PACKET;
-        bool together = n >= 8 && svoi_rays_packet_avx512(r, lod, false, b, i, n);
+        bool together = n >= 8 && r->code->packet(r, lod, false, b, i, n);
         if (together && !any) any = true, start_alone(r, lod, b, 0, alone);
         else if (!together && any) start_alone(r, lod, b, i, n);
         else if (!together) alone += n;
@@ -120,7 +121,7 @@ static bool trace_packets(const svo_rays *r, bool lod, svoi_ray_batch *b)
 
 void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b)
 {
-    svoi_rays_trace_avx512(r, lod, true, b);
+    r->code->trace(r, lod, true, b);
     for (uint32_t j = 0; j < b->found; j++) {
         const uint32_t i = (uint32_t)b->found_ray[j];
         const bool sure = b->state[j] != SVOI_RAY_DOUBT && (!lod || small_enough(r, b, j));
@@ -132,7 +133,7 @@ void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b)
 /* At most SVOI_RAYS_BATCH rays. */
 static void blocked_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, bool *blocked)
 {
-    const bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
+    const bool lod = r->code->prepare(r, rays, count, b);
     b->rays = rays;
     b->found = b->starts = 0;
     b->numbers = false;
@@ -140,7 +141,7 @@ static void blocked_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_bat
     for (uint32_t i = 0, n; i < b->count; i += n) {
         n = b->count - i < SVOI_RAYS_PACKET ? b->count - i : SVOI_RAYS_PACKET;
         if (b->starts + b->found + SVOI_RAYS_PACKET > SVOI_RAYS_BATCH) svoi_rays_settle(r, lod, b);
-        if (n < 8 || !svoi_rays_packet_avx512(r, lod, true, b, i, n)) start_alone(r, lod, b, i, n);
+        if (n < 8 || !r->code->packet(r, lod, true, b, i, n)) start_alone(r, lod, b, i, n);
     }
     svoi_rays_settle(r, lod, b);
     for (uint32_t i = 0; i < count; i++) {
@@ -152,19 +153,19 @@ static void blocked_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_bat
 /* At most SVOI_RAYS_BATCH rays. */
 static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch *b, const svo_ray *rays, uint32_t count, svo_hit *hits)
 {
-    bool lod = svoi_rays_prepare_avx512(r, rays, count, b);
+    bool lod = r->code->prepare(r, rays, count, b);
     b->found = 0;
     b->rays = rays;
     b->numbers = r->before != NULL;
     bool start = trace_packets(r, lod, b);
-    svoi_rays_trace_avx512(r, lod, start, b);
+    r->code->trace(r, lod, start, b);
     memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
     for (uint32_t i = 0; i < (count + 7) / 8; i++)
         for (uint32_t rest = b->unsure[i]; rest != 0; rest &= rest - 1) {
             uint32_t ray = 8 * i + (uint32_t)__builtin_ctz(rest);
             svoi_raycast(r->view, cache, &rays[ray], 1, &hits[ray]);
         }
-    svoi_rays_hits_avx512(r, lod, b, hits);
+    r->code->hits(r, lod, b, hits);
     for (uint32_t j = 0; j < b->found; j++) {
         const uint32_t i = (uint32_t)b->found_ray[j];
         if (b->again[j / 8] >> j % 8 & 1) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
@@ -183,8 +184,8 @@ static void trace_all(const svo_rays *r, const svo_ray *rays, uint64_t count, sv
         uint32_t n = count - i < SVOI_RAYS_BATCH ? (uint32_t)(count - i) : SVOI_RAYS_BATCH;
         svo_hit *h = hits != NULL ? hits + i : NULL;
         bool *b = blocked != NULL ? blocked + i : NULL;
-        if (r->kernel == SVO_KERNEL_AVX512 && !small && h != NULL) cast_batch(r, &cache, &batch, rays + i, n, h);
-        else if (r->kernel == SVO_KERNEL_AVX512 && !small) blocked_batch(r, &cache, &batch, rays + i, n, b);
+        if (r->code != NULL && !small && h != NULL) cast_batch(r, &cache, &batch, rays + i, n, h);
+        else if (r->code != NULL && !small) blocked_batch(r, &cache, &batch, rays + i, n, b);
         else if (h != NULL) svoi_raycast(r->view, &cache, rays + i, n, h);
         else
             for (uint32_t k = 0; k < n; k++) b[k] = svoi_ray_blocked(r->view, &cache, &rays[i + k]);

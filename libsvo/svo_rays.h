@@ -1,9 +1,9 @@
-/* Many rays against one packed octree, 16 at a time.
+/* Many rays against one packed octree, 16 or 8 at a time.
  *
  * svo_raycast walks the packed octree as it lies in the file, one ray after the other. A svo_rays is a second form of the same
  * octree, made for speed: two levels at once as 64-bit masks (4x4x4 cells a node, children side by side), each inner node with
  * the box of what is inside it, so that rays pass most nodes by. Where the processor has AVX-512, 16 rays go
- * through it in one stream of instructions; elsewhere rays go through the packed octree as svo_raycast's do.
+ * through it in one stream of instructions, where it has AVX2 8; elsewhere rays go through the packed octree as svo_raycast's do.
  *
  * Hits are those of svo_raycast, bit for bit, on every processor: plane parameters are the same doubles, and a ray that
  * comes so near to an edge that the kernel cannot be certain (docs/design/003-ray-casting.md) is given to svo_raycast. */
@@ -19,7 +19,8 @@ extern "C" {
 typedef enum svo_ray_kernel {
     SVO_KERNEL_AUTO = 0,     /* the best that this processor can run */
     SVO_KERNEL_PORTABLE = 1, /* one ray at a time */
-    SVO_KERNEL_AVX512 = 2    /* 16 rays; where the processor cannot, PORTABLE */
+    SVO_KERNEL_AVX512 = 2,   /* 16 rays; where the processor cannot, the best that it can */
+    SVO_KERNEL_AVX2 = 3      /* 8 rays; where the processor cannot, PORTABLE */
 } svo_ray_kernel;
 
 typedef struct svo_rays_options {

@@ -323,6 +323,28 @@ static outcome build(builder *b, svo_rays *r)
     return DONE;
 }
 
+/* The tables are here and not with their kernels so that only functions that the processor can run are ever entered. */
+static const svoi_rays_code *choose_code(svo_ray_kernel wanted, svo_ray_kernel *chosen)
+{
+#if defined(SVO_COMPILED_AVX512) && defined(__x86_64__)
+    static const svoi_rays_code avx512 = {svoi_rays_prepare_avx512, svoi_rays_trace_avx512, svoi_rays_hits_avx512, svoi_rays_packet_avx512};
+    if ((wanted == SVO_KERNEL_AUTO || wanted == SVO_KERNEL_AVX512) && svoi_rays_have_avx512()) {
+        *chosen = SVO_KERNEL_AVX512;
+        return &avx512;
+    }
+#endif
+#if defined(SVO_COMPILED_AVX2) && defined(__x86_64__)
+    static const svoi_rays_code avx2 = {svoi_rays_prepare_avx2, svoi_rays_trace_avx2, svoi_rays_hits_avx2, svoi_rays_packet_avx2};
+    if (wanted != SVO_KERNEL_PORTABLE && svoi_rays_have_avx2()) {
+        *chosen = SVO_KERNEL_AVX2;
+        return &avx2;
+    }
+#endif
+    (void)wanted;
+    *chosen = SVO_KERNEL_PORTABLE;
+    return NULL;
+}
+
 svo_rays_options svo_default_rays_options(void)
 {
     svo_rays_options o = {.memory = (uint64_t)1 << 30};
@@ -337,8 +359,8 @@ svo_result svo_rays_build(const svo_view *view, const svo_rays_options *options,
     if (r == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     r->view = view;
     r->allocator = o.allocator;
-    r->kernel = o.kernel == SVO_KERNEL_PORTABLE || !svoi_rays_have_avx512() || view->empty ? SVO_KERNEL_PORTABLE : SVO_KERNEL_AVX512;
-    if (r->kernel != SVO_KERNEL_PORTABLE) {
+    r->code = choose_code(view->empty ? SVO_KERNEL_PORTABLE : o.kernel, &r->kernel);
+    if (r->code != NULL) {
         builder b = {.view = view, .allocator = o.allocator, .limit = o.memory != 0 ? o.memory : (uint64_t)1 << 30};
         b.count = r->levels = (view->tree_depth + 1) / 2;
         b.numbers = !view->unnumbered && view->attribute_count >> 31 == 0;
@@ -357,7 +379,7 @@ svo_result svo_rays_build(const svo_view *view, const svo_rays_options *options,
             svo_rays_free(r);
             return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the form of an octree that rays traverse");
         }
-        if (done == TOO_LARGE) r->kernel = SVO_KERNEL_PORTABLE, r->nodes = r->bricks = 0;
+        if (done == TOO_LARGE) r->kernel = SVO_KERNEL_PORTABLE, r->code = NULL, r->nodes = r->bricks = 0;
     }
     if (report != NULL) *report = (svo_rays_report){r->kernel, r->unit_capacity * (r->before != NULL ? 12 : 8), r->nodes, r->bricks, svo_seconds() - start};
     *out = r;

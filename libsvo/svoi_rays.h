@@ -28,8 +28,25 @@ enum {
     SVOI_RAYS_PAD = 16 /* what vector loads may read past the end of arrays */
 };
 
+typedef struct svoi_ray_batch svoi_ray_batch;
+
+/* One kind of processor. */
+typedef struct svoi_rays_code {
+    /* Fill in a batch from at most SVOI_RAYS_BATCH rays; true if some of them may stop above the finest voxels. */
+    bool (*prepare)(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
+    /* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
+    void (*trace)(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
+    /* hits[ray] of what was found, all but the attributes, which are 0; b->again tells by number of what was found which are not what svo_raycast finds. */
+    void (*hits)(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
+    /* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
+     * `start`. With `any`, rays stay together, and what is appended are the parts of them that may be blocked: one ray may be there several times, and
+     * svoi_rays_settle is called when `start` is full. False, and nothing done, where they do not go the same way. */
+    bool (*packet)(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
+} svoi_rays_code;
+
 struct svo_rays {
     const svo_view *view;
+    const svoi_rays_code *code; /* NULL: svo_raycast */
     const svo_allocator *allocator;
     svo_ray_kernel kernel;
     uint64_t *units; /* the root at 0 */
@@ -52,7 +69,7 @@ typedef struct svoi_ray_list {
     _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];  /* number in the batch */
 } svoi_ray_list;
 
-typedef struct svoi_ray_batch {
+struct svoi_ray_batch {
     svoi_ray_list in; /* those that can hit anything */
     uint32_t count;
     /* Rays that a packet has brought to a node: its unit, log2 of the edge of its cells, and the nodes above it by level from the finest. */
@@ -70,7 +87,7 @@ typedef struct svoi_ray_batch {
     uint8_t again[SVOI_RAYS_BATCH / 8 + 2];
     /* For numbers: unit of the node (or brick) whose cell was hit, and the number of its attribute. Not set in doubt. */
     _Alignas(64) int32_t node_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], base[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
-} svoi_ray_batch;
+};
 enum { SVOI_RAY_DOUBT = 0x100 };
 
 #if defined(__x86_64__) && defined(__AVX512F__) && defined(__AVX512VL__) && defined(__AVX512DQ__) && defined(__AVX512BW__) && \
@@ -78,17 +95,20 @@ enum { SVOI_RAY_DOUBT = 0x100 };
 #define SVOI_HAVE_AVX512
 #endif
 
+#if defined(__x86_64__) && defined(__AVX2__) && defined(__FMA__) && defined(__BMI2__) && defined(__POPCNT__)
+#define SVOI_HAVE_AVX2
+#endif
+
 bool svoi_rays_have_avx512(void);
-/* Fill in a batch from at most SVOI_RAYS_BATCH rays; true if some of them may stop above the finest voxels. */
 bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
-/* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
-/* hits[ray] of what was found, all but the attributes, which are set to 0; b->again tells by number of what was found which are not what svo_raycast finds. */
 void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
-/* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
- * `start`. With `any`, rays stay together, and what is appended are the parts of them that may be blocked: one ray may be there several times, and
- * svoi_rays_settle is called when `start` is full. False, and nothing done, where they do not go the same way. */
 bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
+bool svoi_rays_have_avx2(void);
+bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
+void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
+void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
+bool svoi_rays_packet_avx2(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
 /* Trace `start` for rays of which is asked only whether they are blocked, mark them in `blocked` or `unsure`, and empty it and what was found. */
 void svoi_rays_settle(const svo_rays *r, bool lod, svoi_ray_batch *b);
 

@@ -11,7 +11,7 @@
 #include "svo_morton.h"
 #include "trees.h"
 
-static const svo_ray_kernel kernels[] = {SVO_KERNEL_AUTO, SVO_KERNEL_PORTABLE, SVO_KERNEL_AVX512};
+static const svo_ray_kernel kernels[] = {SVO_KERNEL_AUTO, SVO_KERNEL_PORTABLE, SVO_KERNEL_AVX512, SVO_KERNEL_AVX2};
 
 static void print_difference(const svo_ray *r, const svo_hit *a, const svo_hit *b)
 {

@@ -1,6 +1,6 @@
 /* Ray rates and image error beside Embree on the source triangles, in one process.
  *
- *     bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] MESH A.svdag [B.svdag ...]
+ *     bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] [-k KERNEL] MESH A.svdag [B.svdag ...]
  *
  * Four lists of rays, made with Embree from the triangles of MESH, in its coordinates:
  *   primary  1280x720 in the order of 4x4 blocks; svo-render's automatic view, or with -i from inside along the longest side
@@ -10,7 +10,7 @@
  * Secondary rays begin 1/240 of the longest side along the normal above the hit: 4 voxels at 1024^3.
  * All systems take turns on the same list; a rate is of thread CPU time, best of the repeats, with -t 2 of two threads
  * (rays over the mean of their CPU times). -o takes one list alone (primary, shadow, ...). -s adds svo_raycast, -c compares every hit with svo_raycast's.
- * -a decodes all attributes of every hit as well. */
+ * -a decodes all attributes of every hit as well. -k takes another kernel than the best: avx2 or portable. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <pthread.h>
@@ -296,6 +296,7 @@ int main(int argc, char **argv)
     int repeats = 5, threads = 1, count = 0;
     bool inside = false, scalar = false, check = false;
     const char *mesh_path = NULL, *only = NULL;
+    svo_ray_kernel kernel = SVO_KERNEL_AUTO;
     static file files[MAX_FILES];
     svo_error err = {0};
     for (int i = 1; i < argc; i++) {
@@ -306,11 +307,12 @@ int main(int argc, char **argv)
         else if (strcmp(argv[i], "-s") == 0) scalar = true;
         else if (strcmp(argv[i], "-c") == 0) check = true;
         else if (strcmp(argv[i], "-a") == 0) decode = true;
+        else if (strcmp(argv[i], "-k") == 0 && i + 1 < argc) kernel = strcmp(argv[++i], "avx2") == 0 ? SVO_KERNEL_AVX2 : SVO_KERNEL_PORTABLE;
         else if (mesh_path == NULL) mesh_path = argv[i];
         else if (count < MAX_FILES) files[count++].name = argv[i];
     }
     if (count == 0 || repeats < 1 || threads < 1 || threads > MAX_THREADS)
-        return fputs("usage: bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] MESH A.svdag [B.svdag ...]\n", stderr), 1;
+        return fputs("usage: bench_rays [-n REPEATS] [-t THREADS] [-o SET] [-i] [-s] [-a] [-c] [-k KERNEL] MESH A.svdag [B.svdag ...]\n", stderr), 1;
     svo_mesh mesh;
     fmt_import_options import = {.skip_images = true};
     if (fmt_import_mesh(mesh_path, &import, &mesh, &err) != SVO_OK) return fprintf(stderr, "%s: %s\n", mesh_path, err.message), 1;
@@ -322,8 +324,10 @@ int main(int argc, char **argv)
     make_rays(lists, scene, low, high, inside);
     for (int i = 0; i < count; i++) {
         file *f = &files[i];
+        svo_rays_options options = svo_default_rays_options();
+        options.kernel = kernel;
         if (fmt_bytes_open(f->name, 0, NULL, &f->bytes, &err) != SVO_OK || fmt_svdag_open(f->bytes.data, f->bytes.size, NULL, &f->dag, &err) != SVO_OK ||
-            svo_rays_build(&f->dag.view, NULL, &f->rays, &f->report, &err) != SVO_OK)
+            svo_rays_build(&f->dag.view, &options, &f->rays, &f->report, &err) != SVO_OK)
             return fprintf(stderr, "%s: %s\n", f->name, err.message), 1;
         const char *slash = strrchr(f->name, '/');
         f->name = slash != NULL ? slash + 1 : f->name;

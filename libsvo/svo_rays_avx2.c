@@ -1,0 +1,346 @@
+/* 8 rays in one stream of instructions, for processors with AVX2: svo_rays_avx512.c with what is there. What those instructions lack is made of others: masks
+ * are vectors, bits are counted by table, the highest bit comes from a float's exponent; and lanes are kept in memory, which 16
+ * registers would not hold anyway. */
+#include <math.h>
+#include <string.h>
+
+#include "svoi_rays.h"
+
+#ifdef SVOI_HAVE_AVX2
+#include <immintrin.h>
+
+#define INLINE static inline __attribute__((always_inline))
+
+bool svoi_rays_have_avx2(void) { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("popcnt"); }
+
+/* ---- making rays ready, and telling what they hit -------------------------------------------------------------------- */
+
+/* One ray: 0 misses everything, 1 is in the list at `to`, 2 is left to svo_raycast. */
+INLINE int prepare_one(const svo_rays *r, const svo_ray *ray, bool lod, double scale, svoi_ray_batch *b, uint32_t to, uint32_t number)
+{
+    const int32_t *low_side = lod ? r->root_low : r->low, *high_side = lod ? r->root_high : r->high, unit_mask = (1 << r->fraction) - 1;
+    double o[3], d[3], inv[3], near[3], t = ray->t_min, leave = INFINITY;
+    bool usual = fabs(t) <= 0x1p300 && ray->t_max == ray->t_max;
+    for (int k = 0; k < 3; k++) {
+        o[k] = ray->origin[k] * scale, d[k] = ray->direction[k] * scale, inv[k] = 1 / d[k];
+        usual &= fabs(o[k]) <= 0x1p40 && fabs(d[k]) >= 0x1p-300 && fabs(d[k]) <= 0x1p300; /* NaN fails every one */
+        const double a = (low_side[k] - o[k]) * inv[k], z = (high_side[k] - o[k]) * inv[k];
+        near[k] = d[k] < 0 ? z : a;
+        leave = fmin(leave, d[k] < 0 ? a : z);
+        t = fmax(near[k], t);
+    }
+    if (!usual) return 2;
+    if (lod && !(ray->spread * t + ray->offset < ldexp(1, (int)r->view->tree_depth))) return 2;
+    if (!(t < leave && t <= ray->t_max)) return 0;
+    for (int k = 0; k < 3; k++) {
+        const bool entering = near[k] >= t;
+        int32_t q = entering ? (d[k] < 0 ? high_side[k] - 1 : low_side[k]) : (int32_t)__builtin_fma(d[k], t, o[k]);
+        if (!entering && ((q + 1) & unit_mask) <= 1) return 2;
+        b->in.o[k][to] = o[k], b->in.d[k][to] = d[k], b->in.inv[k][to] = inv[k], b->in.q[k][to] = q;
+    }
+    b->in.t[to] = t, b->in.t_max[to] = ray->t_max;
+    b->in.spread[to] = ray->spread * scale, b->in.offset[to] = ray->offset * scale;
+    b->in.ray[to] = (int32_t)number;
+    return 1;
+}
+
+bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
+{
+    const double scale = ldexp(1, (int)r->fraction);
+    bool lod = false;
+    for (uint32_t i = 0; i < count && r->view->lod && !lod; i++) lod = rays[i].spread > 0 || rays[i].offset > 0;
+    memset(b->unsure, 0, sizeof b->unsure);
+    b->count = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        int kind = prepare_one(r, &rays[i], lod, scale, b, b->count, i);
+        if (kind == 2) b->unsure[i / 8] |= (uint8_t)(1u << i % 8);
+        b->count += kind == 1;
+    }
+    return lod;
+}
+
+void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits)
+{
+    memset(b->again, 0, sizeof b->again);
+    for (uint32_t j = 0; j < b->found; j++) {
+        const svo_ray *ray = &b->rays[b->found_ray[j]];
+        svo_hit *hit = &hits[b->found_ray[j]];
+        if (b->state[j] == SVOI_RAY_DOUBT) {
+            b->again[j / 8] |= (uint8_t)(1u << j % 8);
+            continue;
+        }
+        const uint32_t above = (uint32_t)b->state[j] - 1 - r->fraction;
+        const double size = (double)((uint32_t)1 << above);
+        double enter = -INFINITY;
+        uint32_t face = 0;
+        for (uint32_t k = 0; k < 3; k++) {
+            const int32_t corner = b->at[k][j] >> r->fraction & -((int32_t)1 << above);
+            const double inv = 1 / ray->direction[k], p = corner + (inv < 0 ? size : 0), t = (p - ray->origin[k]) * inv;
+            if (t > enter) enter = t, face = 2 * k + (inv < 0);
+            hit->cell[k] = (uint32_t)corner >> above;
+        }
+        if (enter < ray->t_min) enter = ray->t_min, face = SVO_FACE_INSIDE;
+        /* the kernel may see that a node is small enough only after the ray has entered it, and then it was not when it counted */
+        if (lod && above != 0 && !(size <= ray->spread * enter + ray->offset)) b->again[j / 8] |= (uint8_t)(1u << j % 8);
+        hit->t = enter + 0.0; /* no negative zero */
+        hit->face = (uint8_t)face, hit->level = (uint8_t)(r->view->depth - above), hit->hit = true;
+    }
+}
+
+/* ---- traversal ---------------------------------------------------------------------------------------------------- */
+
+enum { LANES = 8, REFILL = 4 };
+
+typedef struct pair { __m256d a, b; } pair; /* 8 doubles */
+
+typedef struct group {
+    _Alignas(32) double o[3][LANES], d[3][LANES], inv[3][LANES], t[LANES], t_max[LANES], spread[LANES], offset[LANES];
+    _Alignas(32) int32_t q[3][LANES], s[LANES], node[LANES], ray[LANES], state[LANES], positive[3][LANES], backward[3][LANES], stack[SVOI_RAYS_LEVELS][LANES];
+    _Alignas(32) float step[3][LANES];
+    uint32_t active, finished; /* bit l: lane l */
+} group;
+
+INLINE __m256i words(const int32_t *p) { return _mm256_load_si256((const __m256i *)p); }
+INLINE void put(int32_t *p, __m256i x) { _mm256_store_si256((__m256i *)p, x); }
+INLINE pair doubles(const double *p) { return (pair){_mm256_load_pd(p), _mm256_load_pd(p + 4)}; }
+INLINE __m256i word(int x) { return _mm256_set1_epi32(x); }
+INLINE __m256i choose(__m256i m, __m256i yes, __m256i no) { return _mm256_blendv_epi8(no, yes, m); }
+INLINE uint32_t bits(__m256i m) { return (uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(m)); }
+INLINE __m256i mask_of(uint32_t bit)
+{
+    const __m256i each = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    return _mm256_cmpeq_epi32(_mm256_and_si256(word((int)bit), each), each);
+}
+INLINE __m256i both(__m256d a, __m256d b) /* masks of doubles to one of words */
+{
+    __m256 m = _mm256_shuffle_ps(_mm256_castpd_ps(a), _mm256_castpd_ps(b), 0x88);
+    return _mm256_permute4x64_epi64(_mm256_castps_si256(m), 0xd8);
+}
+INLINE pair to_doubles(__m256i x) { return (pair){_mm256_cvtepi32_pd(_mm256_castsi256_si128(x)), _mm256_cvtepi32_pd(_mm256_extracti128_si256(x, 1))}; }
+INLINE __m256i count_bits(__m256i x)
+{
+    const __m256i nibble = _mm256_set1_epi8(15), table = _mm256_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4, 0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4);
+    __m256i n = _mm256_add_epi8(_mm256_shuffle_epi8(table, _mm256_and_si256(x, nibble)), _mm256_shuffle_epi8(table, _mm256_and_si256(_mm256_srli_epi16(x, 4), nibble)));
+    return _mm256_madd_epi16(_mm256_maddubs_epi16(n, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
+}
+/* Number of the highest bit; of 0 less than 0, of negative numbers 30 or 31. */
+INLINE __m256i highest_bit(__m256i x)
+{
+    x = _mm256_andnot_si256(_mm256_srli_epi32(x, 1), x); /* so that rounding does not carry */
+    __m256i e = _mm256_srli_epi32(_mm256_castps_si256(_mm256_cvtepi32_ps(x)), 23);
+    return _mm256_sub_epi32(_mm256_and_si256(e, word(255)), word(127));
+}
+
+/* The 16 bytes at `units + at` of every lane, as four words. */
+INLINE void load_nodes(const uint64_t *units, const int32_t *at, __m256i out[4])
+{
+#define TWO(k) _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_loadu_si128((const __m128i *)(units + (uint32_t)at[k]))), _mm_loadu_si128((const __m128i *)(units + (uint32_t)at[(k) + 4])), 1)
+    __m256i r0 = TWO(0), r1 = TWO(1), r2 = TWO(2), r3 = TWO(3);
+#undef TWO
+    __m256i a = _mm256_unpacklo_epi32(r0, r1), b = _mm256_unpackhi_epi32(r0, r1), c = _mm256_unpacklo_epi32(r2, r3), d = _mm256_unpackhi_epi32(r2, r3);
+    out[0] = _mm256_unpacklo_epi64(a, c), out[1] = _mm256_unpackhi_epi64(a, c);
+    out[2] = _mm256_unpacklo_epi64(b, d), out[3] = _mm256_unpackhi_epi64(b, d);
+}
+
+/* Results of lanes that have finished with something to tell. */
+static void flush(const group *g, const svo_rays *r, svoi_ray_batch *b)
+{
+    for (uint32_t rest = g->finished; rest != 0; rest &= rest - 1, b->found++) {
+        const uint32_t lane = (uint32_t)__builtin_ctz(rest), to = b->found;
+        b->found_ray[to] = g->ray[lane], b->state[to] = g->state[lane];
+        for (int k = 0; k < 3; k++) b->at[k][to] = g->q[k][lane];
+        if (!b->numbers || g->state[lane] == SVOI_RAY_DOUBT) continue;
+        uint32_t sum = r->before[(uint32_t)g->node[lane]] >> 1;
+        for (uint32_t k = 1; k + 1 < r->levels; k++)
+            if (g->s[lane] < (int32_t)(r->fraction + 2 * k)) sum += r->before[(uint32_t)g->stack[k][lane]] >> 1;
+        b->node_found[to] = g->node[lane], b->base[to] = (int32_t)sum;
+    }
+}
+
+/* New rays where few are left; false when there is nothing to do any more. */
+static bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool start, uint32_t *next)
+{
+    if (__builtin_popcount(g->active) > REFILL) return true;
+    const svoi_ray_list *from = start ? &b->start : &b->in;
+    const uint32_t end = start ? b->starts : b->count;
+    if (*next == end) return g->active != 0;
+    if (g->finished != 0) flush(g, r, b);
+    g->finished = 0;
+    for (uint32_t empty = ~g->active & 0xff; empty != 0 && *next < end; empty &= empty - 1, ++*next) {
+        const uint32_t l = (uint32_t)__builtin_ctz(empty), i = *next;
+        for (int k = 0; k < 3; k++) {
+            const bool negative = signbit(from->d[k][i]);
+            g->o[k][l] = from->o[k][i], g->d[k][l] = from->d[k][i], g->inv[k][l] = from->inv[k][i];
+            g->step[k][l] = (float)from->inv[k][i];
+            g->q[k][l] = from->q[k][i];
+            g->backward[k][l] = -(int32_t)negative, g->positive[k][l] = -(int32_t)!negative;
+        }
+        g->t[l] = from->t[i], g->t_max[l] = from->t_max[i], g->spread[l] = from->spread[i], g->offset[l] = from->offset[i];
+        g->ray[l] = from->ray[i];
+        g->s[l] = start ? b->s[i] : SVOI_RAYS_BITS - 2;
+        g->node[l] = start ? b->node[i] : 0;
+        for (uint32_t k = 1; k < r->levels && start; k++) g->stack[k][l] = b->stack[k][i];
+        g->active |= 1u << l;
+    }
+    return true;
+}
+
+INLINE pair limit_at(const group *g, pair t)
+{
+    pair spread = doubles(g->spread), offset = doubles(g->offset);
+    return (pair){_mm256_add_pd(_mm256_mul_pd(spread.a, t.a), offset.a), _mm256_add_pd(_mm256_mul_pd(spread.b, t.b), offset.b)};
+}
+/* Lanes where 2^s is at most the limit. */
+INLINE __m256i within(__m256i s, pair limit)
+{
+    __m256i e = _mm256_add_epi32(s, word(1023)); /* exponent of a double */
+    __m256d a = _mm256_castsi256_pd(_mm256_slli_epi64(_mm256_cvtepi32_epi64(_mm256_castsi256_si128(e)), 52));
+    __m256d b = _mm256_castsi256_pd(_mm256_slli_epi64(_mm256_cvtepi32_epi64(_mm256_extracti128_si256(e, 1)), 52));
+    return both(_mm256_cmp_pd(a, limit.a, _CMP_LE_OQ), _mm256_cmp_pd(b, limit.b, _CMP_LE_OQ));
+}
+
+/* Lanes that miss the box of what is inside their node from here on; see svo_rays_avx512.c. */
+INLINE __m256i misses_box(const group *g, __m256i box, bool lod)
+{
+    __m256i s = words(g->s), sub = _mm256_sub_epi32(s, word(2)), keep = _mm256_sllv_epi32(word(-1), _mm256_add_epi32(s, word(2)));
+    __m256i margin = _mm256_add_epi32(_mm256_srlv_epi32(word(1 << 15), _mm256_sub_epi32(word(30), s)), word(2));
+    __m256i beyond = _mm256_add_epi32(_mm256_sllv_epi32(word(1), sub), margin), field = word(15), corner[3];
+    __m256 steps[3];
+    for (int k = 0; k < 3; k++) {
+        __m256i q = words(g->q[k]);
+        corner[k] = _mm256_sub_epi32(_mm256_and_si256(q, keep), q);
+        steps[k] = _mm256_load_ps(g->step[k]);
+    }
+    if (lod) {
+        __m256 leave = _mm256_set1_ps(INFINITY);
+        __m256i size = _mm256_sllv_epi32(word(1), _mm256_add_epi32(s, word(2)));
+        for (int k = 0; k < 3; k++) {
+            __m256i far = _mm256_add_epi32(corner[k], _mm256_and_si256(size, words(g->positive[k])));
+            leave = _mm256_min_ps(leave, _mm256_mul_ps(_mm256_cvtepi32_ps(far), steps[k]));
+        }
+        leave = _mm256_mul_ps(leave, _mm256_set1_ps(1.0001f));
+        pair now = doubles(g->t), t = {_mm256_add_pd(now.a, _mm256_cvtps_pd(_mm256_castps256_ps128(leave))), _mm256_add_pd(now.b, _mm256_cvtps_pd(_mm256_extractf128_ps(leave, 1)))};
+        pair limit = limit_at(g, t);
+        __m256i whole = _mm256_and_si256(within(_mm256_sub_epi32(s, word(1)), limit), word(0x111));
+        whole = choose(within(s, limit), word(0x333), whole);
+        whole = choose(within(_mm256_add_epi32(s, word(1)), limit), word(0x777), whole);
+        box = _mm256_or_si256(_mm256_andnot_si256(whole, box), _mm256_slli_epi32(whole, 12));
+    }
+    __m256 enter = _mm256_setzero_ps(), leave = _mm256_set1_ps(INFINITY);
+    for (int k = 0; k < 3; k++) {
+        __m256i low = _mm256_and_si256(_mm256_srli_epi32(box, 4 * k), field), high = _mm256_and_si256(_mm256_srli_epi32(box, 4 * k + 12), field);
+        low = _mm256_add_epi32(_mm256_sub_epi32(corner[k], margin), _mm256_sllv_epi32(low, sub));
+        high = _mm256_add_epi32(_mm256_add_epi32(corner[k], beyond), _mm256_sllv_epi32(high, sub));
+        __m256 a = _mm256_mul_ps(_mm256_cvtepi32_ps(low), steps[k]), b = _mm256_mul_ps(_mm256_cvtepi32_ps(high), steps[k]);
+        enter = _mm256_max_ps(_mm256_min_ps(a, b), enter);
+        leave = _mm256_min_ps(_mm256_max_ps(a, b), leave);
+    }
+    return _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_GT_OQ));
+}
+
+/* One round: look at the cell, then go down, or leave it, or be done. The parts are those of svo_rays_avx512.c. */
+INLINE void advance(group *g, const svo_rays *r, bool lod)
+{
+    const __m256i zero = _mm256_setzero_si256(), one = word(1), three = word(3), s = words(g->s), fraction = word((int)r->fraction);
+    __m256i node[4], q[3];
+    load_nodes(r->units, g->node, node);
+    /* the cell, and whether it is filled */
+    const __m256i brick = _mm256_cmpeq_epi32(s, fraction), missed = _mm256_andnot_si256(brick, misses_box(g, node[3], lod));
+    for (int k = 0; k < 3; k++) q[k] = words(g->q[k]);
+    const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(q[0], s), three), y = _mm256_and_si256(_mm256_srlv_epi32(q[1], s), three), z = _mm256_and_si256(_mm256_srlv_epi32(q[2], s), three);
+    const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), upper = _mm256_cmpgt_epi32(z, one);
+    const __m256i w = choose(upper, node[1], node[0]), block = _mm256_and_si256(_mm256_srlv_epi32(w, _mm256_and_si256(c, word(0x0a))), word(0x00330033));
+    const __m256i bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
+    /* where the ray leaves the cell, the empty block of 2x2x2 cells, or the whole node */
+    __m256i edge = _mm256_add_epi32(s, _mm256_and_si256(_mm256_cmpeq_epi32(block, zero), one));
+    edge = choose(missed, _mm256_add_epi32(s, word(2)), edge);
+    const __m256i size = _mm256_sllv_epi32(one, edge), keep = _mm256_sllv_epi32(word(-1), edge);
+    __m256i out[3];
+    pair t[3], nearest;
+    for (int k = 0; k < 3; k++) {
+        out[k] = _mm256_add_epi32(_mm256_and_si256(q[k], keep), _mm256_and_si256(size, words(g->positive[k])));
+        const pair p = to_doubles(out[k]), o = doubles(g->o[k]), inv = doubles(g->inv[k]);
+        t[k] = (pair){_mm256_mul_pd(_mm256_sub_pd(p.a, o.a), inv.a), _mm256_mul_pd(_mm256_sub_pd(p.b, o.b), inv.b)};
+    }
+    nearest = (pair){_mm256_min_pd(_mm256_min_pd(t[0].a, t[1].a), t[2].a), _mm256_min_pd(_mm256_min_pd(t[0].b, t[1].b), t[2].b)};
+    /* who has hit, who goes down, and to which child */
+    __m256i active = mask_of(g->active), here = _mm256_andnot_si256(missed, active);
+    __m256i filled = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), zero), here), hit = _mm256_and_si256(filled, brick), state = words(g->state);
+    const pair now = doubles(g->t);
+    if (lod) {
+        const pair limit = limit_at(g, now);
+        const __m256i stop2 = _mm256_and_si256(_mm256_andnot_si256(_mm256_cmpeq_epi32(block, zero), here), within(_mm256_add_epi32(s, one), limit));
+        hit = _mm256_andnot_si256(stop2, _mm256_or_si256(hit, _mm256_and_si256(filled, within(s, limit))));
+        state = choose(stop2, _mm256_add_epi32(s, word(2)), state);
+        active = _mm256_andnot_si256(stop2, active);
+        g->finished |= bits(stop2);
+        filled = _mm256_andnot_si256(stop2, filled);
+    }
+    state = choose(hit, _mm256_add_epi32(s, one), state);
+    g->finished |= bits(hit);
+    active = _mm256_andnot_si256(hit, active);
+    const __m256i down = _mm256_andnot_si256(hit, filled), go = _mm256_andnot_si256(down, active);
+    __m256i rank = count_bits(_mm256_and_si256(w, _mm256_sub_epi32(bit, one)));
+    rank = _mm256_add_epi32(rank, _mm256_and_si256(upper, count_bits(node[0])));
+    rank = choose(_mm256_cmpeq_epi32(s, word((int)r->fraction + 2)), rank, _mm256_slli_epi32(rank, 1));
+    const __m256i child = _mm256_add_epi32(node[2], rank);
+    /* the step: the next node and the place in it */
+    _mm256_store_pd(g->t, _mm256_blendv_pd(now.a, nearest.a, _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm256_castsi256_si128(go)))));
+    _mm256_store_pd(g->t + 4, _mm256_blendv_pd(now.b, nearest.b, _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm256_extracti128_si256(go, 1)))));
+    const pair t_max = doubles(g->t_max);
+    const __m256i late = both(_mm256_cmp_pd(nearest.a, t_max.a, _CMP_GT_OQ), _mm256_cmp_pd(nearest.b, t_max.b, _CMP_GT_OQ)), unit_mask = word((1 << r->fraction) - 1);
+    __m256i doubt = zero, changed = zero;
+    for (int k = 0; k < 3; k++) {
+        const __m256i through = both(_mm256_cmp_pd(t[k].a, nearest.a, _CMP_LE_OQ), _mm256_cmp_pd(t[k].b, nearest.b, _CMP_LE_OQ));
+        const pair o = doubles(g->o[k]), d = doubles(g->d[k]);
+        __m256i to = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm256_cvttpd_epi32(_mm256_fmadd_pd(d.a, nearest.a, o.a))), _mm256_cvttpd_epi32(_mm256_fmadd_pd(d.b, nearest.b, o.b)), 1);
+        const __m256i edge_far = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_add_epi32(to, one), unit_mask), one);
+        doubt = _mm256_or_si256(doubt, _mm256_andnot_si256(_mm256_or_si256(through, edge_far), word(-1)));
+        to = choose(through, _mm256_add_epi32(out[k], words(g->backward[k])), to);
+        changed = _mm256_or_si256(changed, _mm256_xor_si256(to, q[k]));
+        put(g->q[k], choose(go, to, q[k]));
+    }
+    const __m256i top = highest_bit(changed), up = _mm256_and_si256(go, _mm256_cmpgt_epi32(top, _mm256_add_epi32(s, one)));
+    __m256i to_s = _mm256_sub_epi32(s, _mm256_and_si256(down, word(2))), to_node = choose(down, child, words(g->node));
+    to_s = choose(up, _mm256_and_si256(top, word(SVOI_RAYS_BITS)), to_s); /* even */
+    for (uint32_t k = 1; k < r->levels; k++) {
+        const __m256i level = word((int)(r->fraction + 2 * k)), kept = choose(_mm256_cmpeq_epi32(s, level), words(g->node), words(g->stack[k]));
+        put(g->stack[k], kept);
+        to_node = choose(_mm256_and_si256(up, _mm256_cmpeq_epi32(to_s, level)), kept, to_node);
+    }
+    put(g->s, to_s);
+    put(g->node, to_node);
+    doubt = _mm256_andnot_si256(late, _mm256_and_si256(doubt, go));
+    const __m256i outside = _mm256_andnot_si256(doubt, _mm256_cmpgt_epi32(top, word(SVOI_RAYS_BITS - 1)));
+    const __m256i gone = _mm256_and_si256(go, _mm256_or_si256(late, outside));
+    g->active = bits(_mm256_andnot_si256(_mm256_or_si256(gone, doubt), active));
+    put(g->state, choose(doubt, word(SVOI_RAY_DOUBT), state));
+    g->finished |= bits(doubt);
+}
+
+/* Two groups take turns: while one waits for its last result the other works. */
+enum { GROUPS = 2 };
+
+INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
+{
+    group g[GROUPS];
+    uint32_t next = 0;
+    memset(g, 0, sizeof g);
+    for (;;) {
+        bool more = false;
+        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, start, &next);
+        if (!more) break;
+        for (int i = 0; i < GROUPS; i++) advance(&g[i], r, lod);
+    }
+    for (int i = 0; i < GROUPS; i++)
+        if (g[i].finished != 0) flush(&g[i], r, b);
+}
+
+void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
+{
+    if (lod) trace(r, true, start, b);
+    else trace(r, false, start, b);
+}
+#else
+bool svoi_rays_have_avx2(void) { return false; }
+#endif
