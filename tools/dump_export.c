@@ -26,6 +26,10 @@ static svo_result take(void *user, const dump_cut_node *n, svo_error *err)
 {
     dump_cells *g = user;
     if (!n->leaf) return SVO_OK;
+    if (++g->seen - g->told >= 1 << 16) {
+        g->told = g->seen;
+        cli_progress(g->c, "gathering voxels", g->total != 0 ? (double)g->seen / (double)g->total : -1);
+    }
     uint32_t shift = g->level - n->level, from[3], to[3];
     uint64_t count = 1;
     for (int k = 0; k < 3; k++) {
@@ -110,6 +114,7 @@ static svo_result write(dump_job *j, dump_format f, const fmt_cells *c, fmt_outp
 {
     json_t *report = dump_export_report(j, c->count);
     svo_result r = SVO_OK;
+    cli_progress(j->c, "writing", -1);
     if (f == DUMP_PLY) {
         r = write_ply(j, c, o, report, err);
     } else if (f == DUMP_GLB) {
@@ -149,7 +154,7 @@ static svo_result read_box(const dump_export *ask, uint32_t side, dump_cells *g,
 svo_result dump_gather(dump_job *j, const svo_view *v, uint32_t depth, dump_cells *g, fmt_cells *c, svo_error *err)
 {
     const dump_export *ask = &j->export;
-    *g = (dump_cells){.ask = ask, .level = v->tree_depth - (v->depth - depth), .color = svo_view_find_channel(v, "color")};
+    *g = (dump_cells){.ask = ask, .c = j->c, .total = v->nodes[depth], .level = v->tree_depth - (v->depth - depth), .color = svo_view_find_channel(v, "color")};
     if (g->color != SVO_MAX_CHANNELS && v->channels[g->color].channel.kind != SVO_KIND_COLOR_SRGB8) g->color = SVO_MAX_CHANNELS;
     svo_buffer_init(&g->list, j->allocator);
     SVO_TRY(read_box(ask, 1u << depth, g, err));

@@ -11,6 +11,8 @@ typedef enum dump_format { DUMP_PLY, DUMP_GLB, DUMP_VOX, DUMP_NRRD, DUMP_RAW, DU
 /* Cells of an octree as they are gathered. */
 typedef struct dump_cells {
     const dump_export *ask;
+    cli *c;
+    uint64_t seen, told, total; /* leaves, for the progress */
     svo_buffer list; /* fmt_cell */
     uint32_t level, color; /* of the tree; channel or SVO_MAX_CHANNELS */
     uint32_t low[3], high[3];

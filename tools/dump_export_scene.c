@@ -157,6 +157,7 @@ static svo_result make_asset(scene_job *k, shape *first, uint64_t count, dump_fo
 static svo_result make_shapes(scene_job *k, dump_format f, svo_error *err)
 {
     for (uint64_t i = 0, n; i < k->shape_count; i += n) {
+        cli_progress(k->j->c, "assets and poses", (double)i / (double)k->shape_count);
         for (n = 0; i + n < k->shape_count && k->shapes[i + n].asset == k->shapes[i].asset; n++) {}
         SVO_TRY(make_asset(k, &k->shapes[i], n, f, err));
     }
@@ -253,6 +254,7 @@ static svo_result write_scene(scene_job *k, dump_format f, fmt_output *o, svo_er
     if (posed != 0 && rest)
         svo_warn(&k->j->c->warnings, "%.100s: %llu instances have a pose; they are exported as they are without it", k->j->path, (unsigned long long)posed);
     SVO_TRY(make_shapes(k, f, err));
+    cli_progress(k->j->c, "writing", -1);
     json_t *report = dump_export_report(k->j, k->voxels);
     cli_put_u64(report, "instances", s->instance_count);
     cli_put_u64(report, "posed", rest ? 0 : posed);
