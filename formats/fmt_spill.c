@@ -248,8 +248,16 @@ static svo_result spill_map(void *user, void *file, uint64_t offset, uint64_t si
     if (code != 0) return svo_fail(err, SVO_IO, "temporary files in %.150s: cannot take space: %s", s->folder, strerror(code));
     void *p = size <= SIZE_MAX ? mmap(NULL, (size_t)size, PROT_READ | PROT_WRITE, MAP_SHARED, f->fd, (off_t)offset) : MAP_FAILED;
     if (p == MAP_FAILED) return svo_fail(err, SVO_IO, "temporary files in %.150s: cannot map: %s", s->folder, strerror(errno));
+    /* Else large folios are made as it is read, and since Linux 6.18 one of them is mapped as a whole at a touch: more than the 64 KiB that pagers count. */
+    madvise(p, (size_t)size, MADV_RANDOM);
     *data = p;
     return SVO_OK;
+}
+
+static void spill_fetch(void *user, void *data, uint64_t size)
+{
+    (void)user;
+    madvise(data, (size_t)size, MADV_WILLNEED);
 }
 
 static void spill_unmap(void *user, void *data, uint64_t size)
@@ -289,7 +297,7 @@ svo_result fmt_spill_open(const fmt_spill_options *o, fmt_spill **out, svo_error
     s->reserve = o->reserve;
     s->looked = LOOK_EVERY; /* look at the first write */
     pthread_mutex_init(&s->lock, NULL);
-    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close, spill_map, spill_unmap, spill_forget};
+    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close, spill_map, spill_unmap, spill_forget, spill_fetch};
     *out = s;
     return SVO_OK;
 }

@@ -233,10 +233,11 @@ static svo_result make_winding(skeli_surface *s, const skel_report *r, uint32_t 
     if (!isfinite(1 / grid.size) || !(grid.size > 0)) return SVO_OK; /* sizes near the ends of what a double holds: nothing is inside */
     for (int k = 0; k < 3; k++) grid.origin[k] = r->centre[k] - r->unit;
     svo_winding_report w;
-    svo_bins_report ignored;
-    SVO_TRY(svo_placement_create(&s->mesh, a, &s->placement, err));
-    SVO_TRY(svo_bins_create(&s->placement, &grid, 4, UINT64_MAX, threads, a, &s->bins, &ignored, err));
-    SVO_TRY(svo_winding_create(s->bins, &s->placement, &grid, threads, a, &s->winding, &w, err));
+    svo_placement placement;
+    SVO_TRY(svo_placement_create(&s->mesh, a, &placement, err));
+    const svo_result made = svo_winding_create(&placement, &grid, threads, a, NULL, &s->winding, &w, err);
+    svo_placement_free(&placement);
+    SVO_TRY(made);
     s->turned = w.turned;
     s->boundary_edges = w.boundary_edges;
     return SVO_OK;
@@ -308,8 +309,6 @@ svo_result skeli_surface_make(skeli_pool *pool, const skeli_soup *soup, const do
 void skeli_surface_free(skeli_surface *s)
 {
     svo_winding_free(s->winding);
-    svo_bins_free(s->bins);
-    svo_placement_free(&s->placement);
     memset(s, 0, sizeof *s);
 }
 

@@ -21,8 +21,6 @@ typedef struct skeli_surface {
     svo_shape shape;
     svo_instance instance;
     svo_mesh mesh;
-    svo_placement placement;
-    svo_bins *bins;
     svo_winding *winding; /* NULL where no triangle has an area */
     uint64_t turned, boundary_edges;
     skeli_genus genus;

@@ -176,6 +176,7 @@ struct svo_bins {
     uint32_t threads;
     node stack[8 * (SVO_MAX_DEPTH + 1)];
     uint32_t height;
+    uint64_t gap, gap_end; /* of a gap: what has not been on the stack yet */
     svo_empty_fn empty; /* NULL: empty nodes are left out */
     void *empty_user;
 };
@@ -446,9 +447,28 @@ static void split_empty(svo_bins *b, node n)
         if (allowed >> c & 1) b->stack[b->height++] = (node){n.code * 8 + c, n.begin, n.level + 1, true};
 }
 
+void svo_bins_gap(svo_bins *b, uint64_t first, uint64_t end)
+{
+    b->gap = first;
+    b->gap_end = end;
+}
+
+/* The largest node that begins where the gap does. */
+static void push_gap(svo_bins *b)
+{
+    uint32_t up = 0;
+    while (up < b->level && b->gap % ((uint64_t)8 << 3 * up) == 0 && b->gap_end - b->gap >= (uint64_t)8 << 3 * up) up++;
+    b->stack[b->height++] = (node){.code = b->gap >> 3 * up, .level = b->level - up, .empty = true};
+    b->gap += (uint64_t)1 << 3 * up;
+}
+
 svo_result svo_bins_next_node(svo_bins *b, uint64_t *code, uint32_t *level, bool *full, svo_buffer *list, bool *more, svo_error *err)
 {
-    while (b->height != 0) {
+    for (;;) {
+        if (b->height == 0) {
+            if (b->gap >= b->gap_end) break;
+            push_gap(b);
+        }
         node n = b->stack[--b->height];
         *full = false;
         if (n.empty) {

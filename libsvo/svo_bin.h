@@ -72,6 +72,9 @@ svo_result svo_bins_next(svo_bins *b, uint64_t *code, svo_buffer *list, bool *mo
 typedef enum svo_bin_side { SVO_BIN_SKIP, SVO_BIN_FULL, SVO_BIN_SPLIT } svo_bin_side;
 typedef svo_bin_side (*svo_empty_fn)(void *user, uint64_t code, uint32_t level);
 void svo_bins_empty_nodes(svo_bins *b, svo_empty_fn fn, void *user);
+/* Bins without triangles: ask the function for the largest nodes that lie in first <= code < end (codes at the level of subtrees), as if all of
+ * them were empty ones with a sibling that is not. */
+void svo_bins_gap(svo_bins *b, uint64_t first, uint64_t end);
 /* Like svo_bins_next; *full: an empty node of *level (at most that of the subtrees) for which fn said SVO_BIN_FULL. */
 svo_result svo_bins_next_node(svo_bins *b, uint64_t *code, uint32_t *level, bool *full, svo_buffer *list, bool *more, svo_error *err);
 /* Snapped triangle by number; callable from any thread. */

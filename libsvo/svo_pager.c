@@ -70,6 +70,11 @@ void svoi_paged_miss(svo_paged *a, uint64_t piece)
 {
     svo_pager *p = a->pager;
     if (__atomic_exchange_n(&a->touched[piece], 1, __ATOMIC_RELAXED)) return;
+    if (!a->borrowed && p->spill->fetch != NULL) {
+        const uintptr_t data = (uintptr_t)a->data, begin = (a->first + piece) << SVO_PAGE_SHIFT, end = begin + MAP_ALIGN;
+        const uintptr_t from = begin > data ? begin : data, to = end < data + a->size ? end : data + a->size;
+        p->spill->fetch(p->spill->user, a->data + (from - data), to - from);
+    }
     if (__atomic_add_fetch(&p->resident, 1, __ATOMIC_RELAXED) < p->most) return;
     pthread_mutex_lock(&p->lock);
     if (__atomic_load_n(&p->resident, __ATOMIC_RELAXED) >= p->most) drop_all(p);

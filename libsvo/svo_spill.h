@@ -27,6 +27,8 @@ typedef struct svo_spill {
     svo_result (*map)(void *user, void *file, uint64_t offset, uint64_t size, void **data, svo_error *err);
     void (*unmap)(void *user, void *data, uint64_t size);
     void (*forget)(void *user, void *data, uint64_t size);
+    /* Bytes of a mapping will be used soon; both are multiples of the size of a page. A hint; may be NULL. */
+    void (*fetch)(void *user, void *data, uint64_t size);
 } svo_spill;
 
 /* One file of a spill. Zero-initialised: not open, and closing it does nothing. */

@@ -10,6 +10,7 @@ enum {
     MOST_VISITS = 1 << 17,
     SLICE_VOXELS = 1 << 17,
     MOST_EXPANDED = 128 << 20, /* bytes of textures that are kept in two forms */
+    SOLID_COST = 200, /* bytes a triangle to tell inside from outside in memory, at most while that is prepared (no edge is shared) */
     IN_MEMORY_COST = 32 /* bytes a triangle that the walk in memory takes with its lists, besides snapped triangles */
 };
 
@@ -274,7 +275,7 @@ static svo_result work(void *user, void *slot, uint32_t number, svo_error *err)
         svo_buffer_init(&w->entries, r->allocator);
         svo_buffer_init(&w->sources, r->allocator);
         svo_buffer_init(&w->filled, r->allocator);
-        w->nearest_triangle = SVO_NONE;
+        w->hit.triangle = SVO_NONE;
     }
     svoi_scan s = {.r = r, .w = w, .it = it};
     svo_chunk chunk;
@@ -384,6 +385,20 @@ svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err)
     return svo_pipeline_run(&p, err);
 }
 
+svo_result svoi_run_gap(svoi_run *r, uint64_t first, uint64_t end, uint32_t threads, svo_error *err)
+{
+    const svo_placement none = {.mesh = r->placement.mesh, .allocator = r->allocator};
+    svo_bins_report unused;
+    if (first >= end) return SVO_OK;
+    SVO_TRY(svo_bins_create(&none, &r->grid, r->info->depth - r->levels, 0, threads, r->allocator, &r->bins, &unused, err));
+    svo_bins_empty_nodes(r->bins, svoi_solid_side, r);
+    svo_bins_gap(r->bins, first, end);
+    const svo_result result = svoi_run_chunks(r, threads, err);
+    svo_bins_free(r->bins);
+    r->bins = NULL;
+    return result;
+}
+
 svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err)
 {
     svoi_item it = {.code = code, .level = r->info->depth - r->levels, .parts = parts, .first = !r->started, .owner = r};
@@ -397,11 +412,17 @@ svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *pa
     return result;
 }
 
+static bool is_spilled(const svo_placement *p)
+{
+    for (uint64_t g = 0; g < p->group_count; g++)
+        if (p->groups[g].part->soup != NULL) return true;
+    return false;
+}
+
 /* In memory, or through a spill? Whatever does not need it goes without. */
 static bool must_spill(const svoi_run *r, const svo_voxelize_options *o, uint64_t left, uint32_t threads)
 {
-    for (uint64_t g = 0; g < r->placement.group_count; g++)
-        if (r->placement.groups[g].part->soup != NULL) return true;
+    if (is_spilled(&r->placement)) return true;
     if (r->placement.triangle_count >= UINT32_MAX) return o->spill != NULL;
     if (o->spill == NULL || o->memory == 0) return false;
     return r->placement.triangle_count > left / IN_MEMORY_COST || r->placement.triangle_count * IN_MEMORY_COST + threads * svoi_worker_bytes(r) > left;
@@ -415,12 +436,20 @@ static uint32_t fit_workers(svoi_run *r, uint64_t left, uint32_t threads)
     return threads;
 }
 
-static svo_result prepare_solid(svoi_run *r, uint32_t threads, svo_error *err)
+/* What tells inside from outside, in memory where that leaves half of it, else in temporary files. */
+static svo_result prepare_solid(svoi_run *r, const svo_voxelize_options *o, uint64_t left, uint32_t threads, svo_pager **pager, svo_error *err)
 {
     svo_voxelize_report *report = r->report;
     svo_winding_report w;
-    SVO_TRY(svo_winding_create(r->bins, &r->placement, &r->grid, threads, r->allocator, &r->winding, &w, err));
-    svo_bins_empty_nodes(r->bins, svoi_solid_side, r);
+    svo_winding_paging paging = {.run_bytes = left / 4};
+    const bool spilled = is_spilled(&r->placement), paged = spilled || (o->spill != NULL && o->memory != 0 && r->placement.triangle_count > left / 2 / SOLID_COST);
+    if (paged && (o->spill == NULL || o->spill->map == NULL))
+        return svo_fail(err, SVO_LIMIT, "a solid of triangles outside of memory needs temporary files that can be mapped");
+    if (paged && o->memory == 0) paging.run_bytes = (uint64_t)256 << 20;
+    if (paged) SVO_TRY(svo_pager_create(o->spill, o->memory == 0 ? (uint64_t)256 << 20 : left / 4, 0, r->allocator, pager, err));
+    paging.pager = *pager;
+    SVO_TRY(svo_winding_create(&r->placement, &r->grid, threads, r->allocator, paged ? &paging : NULL, &r->winding, &w, err));
+    report->solid_paged = paged;
     report->solid_triangles_oriented = w.oriented;
     report->solid_triangles_even = w.even;
     report->solid_triangles_open = w.open;
@@ -430,7 +459,13 @@ static svo_result prepare_solid(svoi_run *r, uint32_t threads, svo_error *err)
     return SVO_OK;
 }
 
-static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, const svo_limit_allocator *limit, svo_error *err)
+static uint64_t left_of(const svo_voxelize_options *o, const svo_limit_allocator *limit)
+{
+    const uint64_t used = svo_limit_in_use(limit);
+    return o->memory == 0 ? UINT64_MAX : o->memory > used ? o->memory - used : 0;
+}
+
+static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t threads, const svo_limit_allocator *limit, svo_pager **pager, svo_error *err)
 {
     svo_voxelize_report *report = r->report;
     r->began = svo_seconds();
@@ -447,17 +482,13 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     for (uint32_t c = 0; c < r->info->channel_count; c++) varies |= !r->info->channels[c].constant;
     r->masks = mesh_masks(r->placement.mesh);
     if (varies || r->masks) SVO_TRY(svo_shader_create(&r->placement, &r->grid, r->info, threads, r->allocator, &r->shader, err));
-    uint64_t used = svo_limit_in_use(limit), left = o->memory == 0 ? UINT64_MAX : o->memory > used ? o->memory - used : 0;
+    uint64_t left = left_of(o, limit);
     if (r->shader != NULL) svo_shader_expand(r->shader, o->memory == 0 ? MOST_EXPANDED : left / 16 < MOST_EXPANDED ? left / 16 : MOST_EXPANDED, threads);
-    if (o->memory != 0) {
-        used = svo_limit_in_use(limit);
-        left = o->memory > used ? o->memory - used : 0;
-        threads = fit_workers(r, left, threads);
-    }
+    if (solid) SVO_TRY(prepare_solid(r, o, left_of(o, limit), threads, pager, err));
+    if (o->memory != 0) threads = fit_workers(r, left = left_of(o, limit), threads);
     svo_bins_report bins = {0};
     svo_result result;
     const bool spills = must_spill(r, o, left, threads);
-    if (spills && solid) return svo_fail(err, SVO_LIMIT, "a solid needs all its triangles in memory; allow more (--memory), or fill the surface only");
     if (spills) {
         report->spilled = true;
         r->sample_count = 0; /* samples mean triangles of the mesh as a whole */
@@ -467,7 +498,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
         uint64_t keep = o->memory == 0 ? UINT64_MAX : left / 2;
         SVO_TRY(svo_bins_create(&r->placement, &r->grid, r->info->depth - r->levels, keep, threads, r->allocator, &r->bins, &bins, err));
         svo_bins_limit(r->bins, first, end);
-        if (solid) SVO_TRY(prepare_solid(r, threads, err));
+        if (solid) svo_bins_empty_nodes(r->bins, svoi_solid_side, r);
         report->seconds_setup = svo_seconds() - r->began;
         result = svoi_run_chunks(r, threads, err);
     }
@@ -516,7 +547,8 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
     r->grid.size = info->voxel_to_world[0];
     for (int i = 0; i < 3; i++) r->grid.origin[i] = info->voxel_to_world[4 * i + 3];
     svo_error local = {0};
-    svo_result result = run_all(r, options, threads, &limit, &local);
+    svo_pager *pager = NULL;
+    svo_result result = run_all(r, options, threads, &limit, &pager, &local);
     if (result == SVO_OUT_OF_MEMORY && options->memory != 0) {
         char why[120];
         memcpy(why, local.message, sizeof why - 1);
@@ -537,11 +569,13 @@ svo_result svo_voxelize(const svo_mesh *mesh, const svo_voxelize_options *option
         svo_buffer_free(&w->sources);
         svo_buffer_free(&w->filled);
         svo_solid_free(w->solid);
+        svoi_far_free_single(r, w);
         svo_free(r->allocator, w->block, 1, sizeof *w->block);
     }
     svoi_join_free(&r->join);
     svoi_samples_free(&r->samples);
     svo_winding_free(r->winding);
+    svo_pager_free(pager);
     svo_shader_free(r->shader);
     svo_bins_free(r->bins);
     svo_placement_free(&r->placement);

@@ -66,6 +66,7 @@ typedef struct svo_voxelize_report {
     uint64_t solid_triangles_turned;          /* against the orientation that they came with */
     uint64_t solid_boundary_edges;            /* where open parts end */
     uint64_t solid_asked, solid_ambiguous;    /* points asked, and those whose winding number is between 0.4 and 0.6 */
+    bool solid_paged;                         /* what tells inside from outside lay in temporary files */
     double seconds_solid;                     /* of setup: to prepare that */
     uint64_t peak_bytes;          /* of memory charged to `memory` */
     bool spilled;                 /* triangles went through the spill: */

@@ -11,6 +11,8 @@
 
 enum { NEAR_HEIGHT = 3, ASK_MESH = 0x80000000u /* a source that is no voxel */ };
 
+static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing"); }
+
 svo_bin_side svoi_solid_side(void *user, uint64_t code, uint32_t level)
 {
     svoi_run *r = user;
@@ -28,19 +30,22 @@ svo_bin_side svoi_solid_side(void *user, uint64_t code, uint32_t level)
 /* --- values ------------------------------------------------------------------------------------------------------- */
 
 /* Values at the point of the mesh nearest to the middle of a node whose low corner and size are given in voxels. */
-static void mesh_values(svoi_scan *s, const int32_t low[3], int32_t size, uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE])
+static svo_result mesh_values(svoi_scan *s, const int32_t low[3], int32_t size, uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE], svo_error *err)
 {
     svoi_worker *w = s->w;
     int32_t p[3];
-    uint32_t triangle = w->nearest_triangle;
+    svo_winding_hit hit = w->hit;
     double barycentric[3];
     for (int k = 0; k < 3; k++) p[k] = low[k] * SVO_RASTER_UNIT + size * (SVO_RASTER_UNIT / 2);
-    if (!svo_winding_nearest(s->r->winding, p, &triangle, barycentric)) return; /* nothing is inside of no mesh */
-    if (triangle != w->nearest_triangle) {
-        svo_facet_make_points(s->r->shader, triangle, &w->nearest);
-        w->nearest_triangle = triangle;
+    if (!svo_winding_nearest(s->r->winding, p, &hit, barycentric)) return SVO_OK; /* nothing is inside of no mesh */
+    if (hit.triangle != w->hit.triangle) {
+        w->hit.triangle = SVO_NONE;
+        if (s->r->far != NULL) SVO_TRY(svoi_far_facet(s->r, w, hit.triangle, err));
+        else svo_facet_make_points(s->r->shader, hit.triangle, &w->nearest);
+        w->hit = hit;
     }
     svo_facet_point(s->r->shader, &w->nearest, barycentric, values);
+    return SVO_OK;
 }
 
 /* For every value the number of the surface voxel that it takes after, or ASK_MESH. */
@@ -65,17 +70,17 @@ static bool find_sources(svoi_scan *s, uint32_t levels)
 }
 
 /* The values of surface and inside in order, from those of the surface. */
-static bool fill_values(svoi_scan *s, uint32_t levels)
+static svo_result fill_values(svoi_scan *s, uint32_t levels, svo_error *err)
 {
     svoi_run *r = s->r;
     svoi_worker *w = s->w;
-    if (!find_sources(s, levels)) return false;
+    if (!find_sources(s, levels)) return out_of_memory(err);
     const uint32_t *entries = (const uint32_t *)(const void *)w->entries.data, *source = (const uint32_t *)(const void *)w->sources.data;
     uint64_t count = w->entries.size / sizeof *entries, bytes = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++)
         if (!r->info->channels[c].constant) bytes += count * svo_channel_stride(r->info->channels[c].kind);
     w->filled.size = 0;
-    if (svo_buffer_append(&w->filled, NULL, bytes) == NULL) return false;
+    if (svo_buffer_append(&w->filled, NULL, bytes) == NULL) return out_of_memory(err);
     uint8_t *to = w->filled.data, *first[SVO_MAX_CHANNELS] = {NULL};
     for (uint32_t c = 0; c < r->info->channel_count; c++) {
         if (r->info->channels[c].constant) continue;
@@ -91,14 +96,14 @@ static bool fill_values(svoi_scan *s, uint32_t levels)
         uint32_t at[3];
         svo_morton_decode(svo_solid_code(entries[i]), &at[0], &at[1], &at[2]);
         const int32_t low[3] = {s->corner_axis[0] + (int32_t)at[0], s->corner_axis[1] + (int32_t)at[1], s->corner_axis[2] + (int32_t)at[2]};
-        mesh_values(s, low, (int32_t)1 << svo_solid_height(entries[i]), values);
+        SVO_TRY(mesh_values(s, low, (int32_t)1 << svo_solid_height(entries[i]), values, err));
         for (uint32_t c = 0; c < r->info->channel_count; c++) {
             uint32_t stride = svo_channel_stride(r->info->channels[c].kind);
             if (first[c] != NULL) memcpy(first[c] + i * stride, values[c], stride);
         }
     }
     for (uint32_t c = 0; c < r->info->channel_count; c++) s->channels[c] = first[c];
-    return true;
+    return SVO_OK;
 }
 
 static bool varies(const svoi_run *r)
@@ -119,9 +124,9 @@ static svo_result full_item(svoi_scan *s, uint32_t level, svo_chunk *chunk, svo_
     uint8_t values[SVO_MAX_CHANNELS][SVO_MAX_STRIDE] = {{0}};
     svo_morton_decode(s->it->code, &x, &y, &z);
     const int32_t low[3] = {(int32_t)(x << shift), (int32_t)(y << shift), (int32_t)(z << shift)};
-    mesh_values(s, low, (int32_t)1 << shift, values);
+    SVO_TRY(mesh_values(s, low, (int32_t)1 << shift, values, err));
     w->filled.size = 0;
-    if (svo_buffer_append(&w->filled, values, sizeof values) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+    if (svo_buffer_append(&w->filled, values, sizeof values) == NULL) return out_of_memory(err);
     for (uint32_t c = 0; c < r->info->channel_count; c++)
         if (!r->info->channels[c].constant) chunk->channels[c] = w->filled.data + c * SVO_MAX_STRIDE;
     return SVO_OK;
@@ -143,14 +148,14 @@ svo_result svoi_solid_chunk(svoi_scan *s, uint32_t levels, svo_chunk *chunk, boo
         w->masks.size = w->entries.size = 0;
         if (w->solid == NULL || !svo_solid_fill(w->solid, w->block, r->winding, s->corner_axis, levels, it->level > 0, &w->masks,
                                                 values_vary ? &w->entries : NULL, &values, &full, &it->asked))
-            return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+            return out_of_memory(err);
         *any = values != 0;
         if (!*any) return SVO_OK;
         if (full) {
             SVO_TRY(full_item(s, it->level, chunk, err));
         } else {
             *chunk = (svo_chunk){.code = it->code, .level = it->level, .depth = r->info->depth, .masks = w->masks.data, .node_count = w->masks.size, .value_count = values};
-            if (values_vary && !fill_values(s, levels)) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while voxelizing");
+            if (values_vary) SVO_TRY(fill_values(s, levels, err));
             for (uint32_t c = 0; c < r->info->channel_count; c++)
                 if (!r->info->channels[c].constant) chunk->channels[c] = s->channels[c];
         }

@@ -24,9 +24,11 @@ typedef struct driver {
 uint64_t svoi_worker_bytes(const svoi_run *r)
 {
     uint64_t bytes = sizeof(svo_block) + (1 << 20); /* masks, and what the sink takes */
+    if (r->winding != NULL) bytes += 3 << 19;       /* svo_solid, and what each value is */
     if (r->shader == NULL) return bytes;
     uint64_t stride = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) stride += svo_channel_stride(r->info->channels[c].kind);
+    if (r->winding != NULL) bytes += 300000 * (2 * sizeof(uint32_t) + stride); /* values inside beside those of the surface */
     return bytes + 3 * (sizeof(svo_block_visit) + 4 * sizeof(uint32_t)) * (uint64_t)r->most_visits + r->slice_voxels * (8u * svo_shader_layout(r->shader)->fields + 16) + 400000 * stride;
 }
 
@@ -40,6 +42,7 @@ static svo_result bind(driver *d, const svo_mesh *mesh, uint64_t first, uint64_t
     SVO_TRY(svo_placement_create(mesh, r->allocator, &r->placement, err));
     SVO_TRY(svo_bins_create(&r->placement, &r->grid, r->info->depth - r->levels, UINT64_MAX, d->threads, r->allocator, &r->bins, &unused, err));
     svo_bins_limit(r->bins, first, end);
+    if (r->winding != NULL) svo_bins_empty_nodes(r->bins, svoi_solid_side, r);
     return r->shader != NULL ? svo_shader_rebind(r->shader, &r->placement, err) : SVO_OK;
 }
 
@@ -122,15 +125,24 @@ static svo_result run_range(driver *d, svoi_scattered *from, const svoi_bin *who
     svo_voxelize_report *note = d->r->report;
     if (round == 0) note->seconds_setup = svo_seconds() - d->r->began;
     if (round + 1 > note->spill_rounds) note->spill_rounds = round + 1;
+    /* Bins begin and end with cells that triangles meet. So a node between them that lies in a larger empty one does so altogether, and within a bin it is empty where
+     * none of the bin's triangles meets it: what is asked about the inside is what is asked in memory. */
+    uint64_t done = first;
+    bool any = false;
+    for (uint32_t i = 0; i < svoi_scattered_count(s); i++) any |= svoi_scattered_bin(s, i)->triangles != 0;
     for (uint32_t i = 0; r == SVO_OK && i < svoi_scattered_count(s); i++) {
         const svoi_bin *bin = svoi_scattered_bin(s, i);
         if (bin->triangles == 0) continue;
+        if (d->r->winding != NULL) r = svoi_run_gap(d->r, done, bin->first, d->threads, err);
+        if (r != SVO_OK) break;
+        done = bin->end;
         note->spill_bins += !bin->too_large;
         note->split_units += bin->too_large && bin->end - bin->first == 1;
         if (!bin->too_large) r = run_bin(d, s, bin, err);
         else if (bin->end - bin->first == 1) r = run_unit(d, s, bin, err);
         else r = run_range(d, s, bin, bin->first, bin->end, round + 1, NULL, err);
     }
+    if (r == SVO_OK && any && d->r->winding != NULL) r = svoi_run_gap(d->r, done, end, d->threads, err);
     svoi_scattered_free(s);
     return r;
 }
@@ -156,7 +168,10 @@ svo_result svoi_voxelize_spilled(svoi_run *r, const svo_voxelize_options *o, uin
     if (d.plan.bin_cost < LEAST_BIN)
         result = svo_fail(err, SVO_LIMIT, "%.1f MB of memory are not enough to voxelize in parts with %u threads; at least %.0f MB more are needed", (double)memory / 1e6,
                           threads, (double)(taken + 2 * LEAST_BIN - (memory < taken ? memory : taken)) / 1e6 + 1);
+    if (result == SVO_OK && r->winding != NULL && r->shader != NULL) result = svoi_far_create(&d.whole, layouts, r->allocator, &r->far, err);
     if (result == SVO_OK && first < end) result = run_range(&d, NULL, NULL, first, end, 0, report, err);
+    svoi_far_free(r->far);
+    r->far = NULL;
     svo_free(r->allocator, layouts, d.whole.group_count, sizeof *layouts);
     r->placement = d.whole;
     return result;

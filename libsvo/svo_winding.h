@@ -15,6 +15,7 @@
 #define SVO_WINDING_H
 
 #include "svo_bin.h"
+#include "svo_pager.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -29,9 +30,17 @@ typedef struct svo_winding_report {
     double seconds;
 } svo_winding_report;
 
-/* Memory: about 20 bytes a triangle, 45 more while building, 50 more again where not all edges are balanced. bins and placement must outlive
- * the result, which does not depend on threads. */
-svo_result svo_winding_create(const svo_bins *bins, const svo_placement *placement, const svo_grid *grid, uint32_t threads, const svo_allocator *a,
+/* Where to put what does not fit in memory. */
+typedef struct svo_winding_paging {
+    svo_pager *pager;
+    uint64_t run_bytes; /* memory that sorting may take at a time while building */
+} svo_winding_paging;
+
+/* Memory: about 52 bytes a triangle, 16 more while building, 160 more again while building where not all edges are balanced. With paging (NULL: without) about as
+ * many bytes of temporary files instead, run_bytes while building, and what the pager keeps resident; parts of the placement may lie outside of memory
+ * (svo_part.soup) then, and the pager must outlive the result. The result depends neither on threads nor on paging, nor on the order of the triangles but for their
+ * numbers and for coincident ones. placement need not outlive it. SVO_LIMIT for 2^32 - 1 triangles and more. */
+svo_result svo_winding_create(const svo_placement *placement, const svo_grid *grid, uint32_t threads, const svo_allocator *a, const svo_winding_paging *paging,
                               svo_winding **out, svo_winding_report *report, svo_error *err);
 void svo_winding_free(svo_winding *w);
 
@@ -49,9 +58,16 @@ double svo_winding_change(const svo_winding *w, const int32_t low[3], const int3
 /* Approximation of hierarchical winding numbers that svo_winding_inside does not count as margin: stay away from it by this much. */
 #define SVO_WINDING_ERROR 0.004
 
-/* Triangle nearest to p (ties: the smaller number) and the barycentric coordinates of its nearest point; false when there are none. *triangle
- * may name one that is likely to be near, which saves time and changes nothing; else UINT32_MAX. */
-bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], uint32_t *triangle, double barycentric[3]);
+/* A triangle: its number in the placement (UINT32_MAX: none), and where svo_winding has it. */
+typedef struct svo_winding_hit {
+    uint32_t triangle, part;
+    uint64_t at;
+} svo_winding_hit;
+
+/* Triangle nearest to p (of equally near ones the first in an order by their places), and the barycentric coordinates of its nearest point on the corners at *hit as they are
+ * in the placement, whichever way it was turned; false when there are none. *hit may be an earlier answer that is likely to be near, which saves time and changes
+ * nothing; else its triangle is UINT32_MAX. */
+bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], svo_winding_hit *hit, double barycentric[3]);
 
 #ifdef __cplusplus
 }

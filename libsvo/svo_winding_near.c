@@ -47,7 +47,7 @@ static double edge_gap2(const svoi_boundary_edge *e, const region *r)
  * falls off faster. */
 double svo_winding_change(const svo_winding *w, const int32_t low[3], const int32_t high[3])
 {
-    const svoi_tree *t = &w->edges;
+    const svoi_bounds_tree *t = &w->edges;
     double gradient = 0;
     if (t->count == 0) return 0;
     region r = {.low = low, .high = high};
@@ -61,23 +61,23 @@ double svo_winding_change(const svo_winding *w, const int32_t low[3], const int3
     stack[top++] = (svoi_tree_node){t->levels - 1, 0};
     while (top != 0) {
         svoi_tree_node n = stack[--top];
-        const svoi_box *b = svoi_tree_box(t, n);
+        const svoi_box *b = svoi_node_box(t, n);
         const double d2 = gap2(b, low, high);
         double extent2 = 0, sum = 0;
         for (int k = 0; k < 3; k++) extent2 += ((double)b->high[k] - b->low[k]) * ((double)b->high[k] - b->low[k]);
         const bool far = d2 > 9 * extent2;
         if (!far && n.level != 0) {
-            top += svoi_tree_children(t, n, &stack[top]);
+            top += svoi_node_children(t, n, &stack[top]);
             continue;
         }
         if (far) {
-            const svoi_lines *l = &w->lines[t->first[n.level] + n.at];
+            const svoi_lines *l = svoi_at(&w->lines, svoi_node_number(t, n));
             const double one = sqrt(l->sum[0] * l->sum[0] + l->sum[1] * l->sum[1] + l->sum[2] * l->sum[2]);
             sum = fmin(l->length, one * (1 + 1e-12) + l->length * sqrt(extent2 / d2)) / d2; /* extent = 2 rho */
         } else {
             uint64_t begin, end;
-            for (svoi_tree_items(t, n, &begin, &end); begin < end; begin++) {
-                const svoi_boundary_edge *e = &w->boundary[t->order[begin]];
+            for (svoi_leaf_items(t, n, &begin, &end); begin < end; begin++) {
+                const svoi_boundary_edge *e = svoi_at(&w->boundary, begin);
                 const double near2 = edge_gap2(e, &r);
                 double length2 = 0;
                 if (!(near2 > 0)) return INFINITY;
@@ -134,26 +134,24 @@ static inline double point_gap2(const svoi_box *b, const int32_t p[3])
     return (double)sum;
 }
 
-/* INFINITY when its box is farther away than `most` (squared). */
-static double distance_to(const svo_winding *w, uint32_t triangle, const int32_t p[3], double most, double barycentric[3])
+/* INFINITY when its box is farther away than `most` (squared). Never less than its box is away, whatever was rounded, so that what is nearest does not
+ * depend on the order in which triangles are looked at. */
+static double distance_to(const svoi_triangle *t, const int32_t p[3], double most, double barycentric[3])
 {
-    svo_record r;
     double v[3][3];
-    svo_bins_record(w->bins, triangle, &r);
     svoi_box box;
-    for (int k = 0; k < 3; k++) {
-        const int32_t low = r.q[0][k] < r.q[1][k] ? r.q[0][k] : r.q[1][k], high = r.q[0][k] < r.q[1][k] ? r.q[1][k] : r.q[0][k];
-        box.low[k] = r.q[2][k] < low ? r.q[2][k] : low;
-        box.high[k] = r.q[2][k] > high ? r.q[2][k] : high;
-    }
-    if (point_gap2(&box, p) > most) return INFINITY;
+    svoi_triangle_box((const int32_t(*)[3])t->q, &box);
+    const double least = point_gap2(&box, p);
+    if (least > most) return INFINITY;
     for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) v[i][k] = (double)r.q[i][k] - p[k];
-    return nearest_on(v, barycentric);
+        for (int k = 0; k < 3; k++) v[i][k] = (double)t->q[i][k] - p[k];
+    const double d = nearest_on(v, barycentric);
+    return d > least ? d : least;
 }
 
-static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p[3], double *best, uint32_t *triangle, double barycentric[3])
+static void nearest_in(const svo_winding *w, uint32_t class, const int32_t p[3], double *best, svo_winding_hit *hit, double barycentric[3])
 {
+    const svoi_bounds_tree *t = &w->tree[class];
     svoi_tree_node stack[SVOI_TREE_STACK];
     double bound[SVOI_TREE_STACK];
     uint32_t top = 0;
@@ -165,8 +163,8 @@ static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p
         if (n.level != 0) {
             svoi_tree_node child[2];
             double d[2];
-            uint32_t count = svoi_tree_children(t, n, child);
-            for (uint32_t i = 0; i < count; i++) d[i] = point_gap2(svoi_tree_box(t, child[i]), p);
+            uint32_t count = svoi_node_children(t, n, child);
+            for (uint32_t i = 0; i < count; i++) d[i] = point_gap2(svoi_node_box(t, child[i]), p);
             uint32_t far = count == 2 && d[1] > d[0] ? 1 : 0; /* the nearer one is looked at first */
             for (uint32_t i = 0; i < count; i++) {
                 uint32_t c = i == 0 ? far : far ^ 1;
@@ -177,21 +175,29 @@ static void nearest_in(const svo_winding *w, const svoi_tree *t, const int32_t p
             continue;
         }
         uint64_t begin, end;
-        svoi_tree_items(t, n, &begin, &end);
+        svoi_leaf_items(t, n, &begin, &end);
         for (; begin < end; begin++) {
-            double b[3], d = distance_to(w, t->order[begin], p, *best, b);
-            if (d > *best || (d == *best && t->order[begin] >= *triangle)) continue;
+            const svoi_triangle *triangle = svoi_at(&w->triangles[class], begin);
+            double b[3], d = distance_to(triangle, p, *best, b);
+            if (d > *best || (d == *best && (class != hit->part ? class > hit->part : begin >= hit->at))) continue;
             *best = d;
-            *triangle = t->order[begin];
+            *hit = (svo_winding_hit){triangle->number, class, begin};
             memcpy(barycentric, b, sizeof b);
         }
     }
 }
 
-bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], uint32_t *triangle, double barycentric[3])
+bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], svo_winding_hit *hit, double barycentric[3])
 {
-    double best = *triangle != UINT32_MAX ? distance_to(w, *triangle, p, INFINITY, barycentric) : INFINITY;
-    for (int c = 0; c < SVOI_CLASSES; c++)
-        if (w->tree[c].count != 0) nearest_in(w, &w->tree[c], p, &best, triangle, barycentric);
-    return *triangle != UINT32_MAX;
+    double best = INFINITY;
+    if (hit->triangle != UINT32_MAX) best = distance_to(svoi_at(&w->triangles[hit->part], hit->at), p, INFINITY, barycentric);
+    for (uint32_t c = 0; c < SVOI_CLASSES; c++)
+        if (w->tree[c].count != 0) nearest_in(w, c, p, &best, hit, barycentric);
+    if (hit->triangle == UINT32_MAX) return false;
+    if (((const svoi_triangle *)svoi_at(&w->triangles[hit->part], hit->at))->turned) {
+        const double swap = barycentric[1];
+        barycentric[1] = barycentric[2];
+        barycentric[2] = swap;
+    }
+    return true;
 }

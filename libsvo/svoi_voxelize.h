@@ -9,6 +9,7 @@
 #include "svo_raster.h"
 #include "svo_shade.h"
 #include "svo_solid.h"
+#include "svo_soup.h"
 #include "svo_voxelize.h"
 #include "svoi_lanes.h"
 #include "svoi_reference.h"
@@ -24,7 +25,8 @@ typedef struct svoi_worker {
     svo_solid *solid;
     svo_buffer entries, sources, filled; /* uint32_t a value: what it is, and the surface voxel it takes after; values with the inside */
     svo_facet nearest;                   /* the last facet that a value was read from */
-    uint32_t nearest_triangle;           /* SVO_NONE: none yet */
+    svo_winding_hit hit;                 /* its triangle, or SVO_NONE: none yet */
+    struct svoi_single *single;          /* what that facet points to when triangles do not lie in memory */
 } svoi_worker;
 
 /* Where what a triangle meets begins; its end is the next one's. */
@@ -61,7 +63,8 @@ typedef struct svoi_run {
     svo_bins *bins;
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
-    svo_winding *winding; /* of solids, else NULL */
+    svo_winding *winding; /* of solids, else NULL; of all triangles, also where the run has those of a bin */
+    struct svoi_far *far; /* NULL: the numbers that the winding knows are those of the run's placement */
     svo_solid_counts asked; /* by the thread that makes items */
     uint32_t most_visits;  /* (triangle, brick) pairs of a chunk that are remembered, and a fourth of the (triangle, voxel) pairs; with more they are found again */
     uint64_t slice_voxels; /* voxels averaged at a time: bounds the memory for sums */
@@ -158,6 +161,8 @@ svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err);
 svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err);
 /* Memory that a worker needs, about. */
 uint64_t svoi_worker_bytes(const svoi_run *r);
+/* The inside of solids in first <= code < end (codes of units), where no triangle is but some are beside. */
+svo_result svoi_run_gap(svoi_run *r, uint64_t first, uint64_t end, uint32_t threads, svo_error *err);
 /* Voxelize the units first <= code < end of the run's placement in bins that fit in `memory` (0: any) besides what is allocated. */
 svo_result svoi_voxelize_spilled(svoi_run *r, const svo_voxelize_options *o, uint64_t first, uint64_t end, uint64_t memory, uint32_t threads, svo_bins_report *report,
                                  svo_error *err);
@@ -182,5 +187,11 @@ svo_result svoi_samples_measure(svoi_run *r, uint32_t threads, svo_error *err);
  * values are the worker's; the item's `tree` is filled. *any false: nothing there. */
 svo_result svoi_solid_chunk(svoi_scan *s, uint32_t levels, svo_chunk *chunk, bool *any, svo_error *err);
 svo_bin_side svoi_solid_side(void *run, uint64_t code, uint32_t level);
+/* Reading single triangles of the whole placement while the run has those of a bin (svo_voxelize_far.c). */
+svo_result svoi_far_create(const svo_placement *whole, const svo_soup_layout *layouts, const svo_allocator *a, struct svoi_far **out, svo_error *err);
+void svoi_far_free(struct svoi_far *f);
+/* Make the worker's facet that of a triangle. */
+svo_result svoi_far_facet(svoi_run *r, svoi_worker *w, uint32_t triangle, svo_error *err);
+void svoi_far_free_single(const svoi_run *r, svoi_worker *w);
 
 #endif

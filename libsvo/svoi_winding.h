@@ -3,9 +3,17 @@
 #define SVOI_WINDING_H
 
 #include "svo_winding.h"
+#include "svoi_sorted.h"
 #include "svoi_tritree.h"
 
-enum { SVOI_ORIENTED = 0, SVOI_EVEN = 1, SVOI_OPEN = 2, SVOI_SKIPPED = 3, SVOI_CLASSES = 3, SVOI_TURNED = 4 /* a bit beside the class */ };
+enum { SVOI_ORIENTED = 0, SVOI_EVEN = 1, SVOI_OPEN = 2, SVOI_CLASSES = 3, SVOI_TURNED = 4 /* a bit beside the class */ };
+
+/* A snapped triangle with its number in the placement. Sorted by the Morton code of its middle, then by its corners, so that what is made of
+ * them does not depend on the order they came in. */
+typedef struct svoi_triangle {
+    int32_t q[3][3];
+    uint32_t number, turned; /* turned: the last two corners have changed places */
+} svoi_triangle;
 
 /* An edge at which open parts end. */
 typedef struct svoi_boundary_edge {
@@ -13,17 +21,13 @@ typedef struct svoi_boundary_edge {
     uint32_t times;     /* uses in that direction that the other does not have */
 } svoi_boundary_edge;
 
-typedef struct svoi_edges_input {
-    const svo_bins *bins;
-    uint64_t count;  /* triangles */
-    uint8_t *kind;   /* of each triangle: SVOI_SKIPPED on entry where it is not to be looked at, else 0; the class and SVOI_TURNED on return */
-    uint32_t threads;
-    const svo_allocator *allocator;
-} svoi_edges_input;
+/* Classify sorted triangles by the edges of the snapped mesh: *kind receives a store of a byte for each, the class and SVOI_TURNED, and
+ * *boundary the edges (svoi_boundary_edge) in Morton order. To be freed by the caller, also on failure. */
+svo_result svoi_edges_classify(const svoi_room *room, const svoi_store *triangles, uint64_t count, uint32_t lattice_bits, svoi_store *kind, svoi_store *boundary,
+                               uint64_t *boundary_count, svo_error *err);
 
-/* Classify triangles by the edges of the snapped mesh. `balanced` may be told by the caller (see svoi_edge_sum): then nothing has to be
- * done. Boundary edges are appended to `boundary` (svoi_boundary_edge). */
-svo_result svoi_edges_classify(const svoi_edges_input *in, svo_buffer *boundary, svo_error *err);
+/* Order of boundary edges in a store. */
+void svoi_boundary_order(const uint32_t *lattice_bits, svoi_order *out);
 
 /* Sum over the directed edges of a triangle of a random number for the edge, negative in one direction: over a mesh whose edges are all
  * used equally often in both directions it is 0, over others it is not but for one in 2^128. */
@@ -42,17 +46,39 @@ typedef struct svoi_moment {
 /* What a node of boundary edges is from afar: sums of times * length, and of times * (b - a). */
 typedef struct svoi_lines { double length, sum[3]; } svoi_lines;
 
+/* The shape of svoi_tree over a store whose items are in the order of the leaves already. */
+typedef struct svoi_bounds_tree {
+    uint64_t count, node_count;
+    uint32_t levels; /* 0 when there are no items; the root is the only node of level levels - 1 */
+    uint64_t first[SVOI_TREE_LEVELS + 1], size[SVOI_TREE_LEVELS + 1]; /* nodes of a level */
+    svoi_store box;
+} svoi_bounds_tree;
+
+static inline uint64_t svoi_node_number(const svoi_bounds_tree *t, svoi_tree_node n) { return t->first[n.level] + n.at; }
+static inline const svoi_box *svoi_node_box(const svoi_bounds_tree *t, svoi_tree_node n) { return svoi_at(&t->box, svoi_node_number(t, n)); }
+static inline void svoi_leaf_items(const svoi_bounds_tree *t, svoi_tree_node leaf, uint64_t *begin, uint64_t *end)
+{
+    *begin = (uint64_t)leaf.at * SVOI_TREE_LEAF;
+    *end = *begin + SVOI_TREE_LEAF < t->count ? *begin + SVOI_TREE_LEAF : t->count;
+}
+/* Children of an inner node; returns 1 or 2. */
+static inline uint32_t svoi_node_children(const svoi_bounds_tree *t, svoi_tree_node n, svoi_tree_node out[2])
+{
+    out[0].level = out[1].level = n.level - 1;
+    out[0].at = 2 * n.at;
+    out[1].at = 2 * n.at + 1;
+    return (uint64_t)out[1].at < t->size[n.level - 1] ? 2 : 1;
+}
+
 struct svo_winding {
-    const svo_bins *bins;
-    const svo_allocator *allocator;
-    uint64_t count;
-    uint8_t *kind; /* of each triangle */
-    svoi_tree tree[SVOI_CLASSES];
-    svoi_moment *moments; /* of the tree of open triangles */
-    svoi_boundary_edge *boundary;
+    svoi_room room;
+    svoi_store triangles[SVOI_CLASSES]; /* svoi_triangle, turned as their parts want */
+    svoi_bounds_tree tree[SVOI_CLASSES];
+    svoi_store moments; /* of the tree of open triangles; none where there are few boundary edges */
+    svoi_store boundary;
     uint64_t boundary_count;
-    svoi_tree edges;
-    svoi_lines *lines; /* nodes of `edges` */
+    svoi_bounds_tree edges;
+    svoi_store lines; /* nodes of `edges` */
 };
 
 static inline void svoi_edge_box(const svoi_boundary_edge *e, svoi_box *box)
@@ -60,6 +86,15 @@ static inline void svoi_edge_box(const svoi_boundary_edge *e, svoi_box *box)
     for (int k = 0; k < 3; k++) {
         box->low[k] = e->a[k] < e->b[k] ? e->a[k] : e->b[k];
         box->high[k] = e->a[k] < e->b[k] ? e->b[k] : e->a[k];
+    }
+}
+
+static inline void svoi_triangle_box(const int32_t (*q)[3], svoi_box *box)
+{
+    for (int k = 0; k < 3; k++) {
+        const int32_t a = q[0][k], b = q[1][k], c = q[2][k];
+        box->low[k] = a < b ? a < c ? a : c : b < c ? b : c;
+        box->high[k] = a > b ? a > c ? a : c : b > c ? b : c;
     }
 }
 

@@ -164,6 +164,7 @@ static void report_output(cli *c, const svo_tree_info *info, const svo_voxelize_
         cli_put_u64(s, "points_asked", v->solid_asked);
         cli_put_u64(s, "points_ambiguous", v->solid_ambiguous);
         cli_put_f64(s, "ambiguous_share", v->solid_asked != 0 ? (double)v->solid_ambiguous / (double)v->solid_asked : 0);
+        json_object_set_new(s, "in_temporary_files", json_boolean(v->solid_paged));
         cli_put_f64(s, "seconds_prepare", v->seconds_solid);
     }
 

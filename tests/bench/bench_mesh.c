@@ -1,12 +1,13 @@
 /* Writes large meshes for tests of memory: a bumpy sheet of two triangles a cell.
- * bench_mesh ply|obj|off|stl TRIANGLES OUT [shuffled]
- * "shuffled": neighbouring vertices lie far from each other in the file, as in a scan with poor locality. */
+ * bench_mesh ply|obj|off|stl TRIANGLES OUT [shuffled] [torus|pierced|twice]
+ * "shuffled": neighbouring vertices lie far from each other in the file, as in a scan with poor locality. "torus": the sheet is closed to a bumpy torus; "pierced": one of 997
+ * of its triangles is missing; "twice": its second half is a smaller torus in another direction, which crosses the first one. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-typedef struct sheet { unsigned long long columns, rows, vertices, step; } sheet;
+typedef struct sheet { unsigned long long columns, rows, vertices, step; int torus, twice; } sheet;
 
 static unsigned long long common_divisor(unsigned long long a, unsigned long long b)
 {
@@ -21,12 +22,20 @@ static unsigned long long common_divisor(unsigned long long a, unsigned long lon
 /* Number in the file of a vertex of the sheet; and which vertex of the sheet has a number. */
 static unsigned long long number_of(const sheet *s, unsigned long long column, unsigned long long row)
 {
-    return (unsigned long long)((unsigned __int128)(row * (s->columns + 1) + column) * s->step % s->vertices);
+    return (unsigned long long)((unsigned __int128)(row * (s->columns + !s->torus) + column) * s->step % s->vertices);
 }
 
 static void point(const sheet *s, unsigned long long column, unsigned long long row, float p[3])
 {
     double x = (double)column / (double)s->columns, y = (double)row / (double)s->rows;
+    if (s->torus) {
+        const double turn = 6.283185307179586, v = s->twice ? 2 * y - (y >= 0.5) : y, r = 0.1 * (1 + 0.02 * sin(turn * 200 * x) * sin(turn * 150 * v)) / (1 + (s->twice && y >= 0.5));
+        const double ring = 0.35 + r * cos(turn * v), a = ring * cos(turn * x), b = ring * sin(turn * x);
+        p[0] = (float)(a + 0.5);
+        p[1] = (float)(s->twice && y >= 0.5 ? b : r * sin(turn * v));
+        p[2] = (float)((s->twice && y >= 0.5 ? r * sin(turn * v) : b) + 0.5);
+        return;
+    }
     p[0] = (float)x;
     p[1] = (float)(0.1 * sin(9 * x) * cos(7 * y) + 0.002 * sin(900 * x) * sin(700 * y));
     p[2] = (float)y;
@@ -49,18 +58,27 @@ static unsigned long long inverse(unsigned long long a, unsigned long long m)
 
 int main(int argc, char **argv)
 {
-    if (argc < 4) return fprintf(stderr, "bench_mesh ply|obj|off|stl TRIANGLES OUT [shuffled]\n"), 1;
+    if (argc < 4) return fprintf(stderr, "bench_mesh ply|obj|off|stl TRIANGLES OUT [shuffled] [torus|pierced|twice]\n"), 1;
     const char *format = argv[1];
     sheet s = {0};
     s.columns = (unsigned long long)sqrt(strtod(argv[2], NULL) / 2);
+    int shuffled = 0, pierced = 0;
+    for (int i = 4; i < argc; i++) {
+        shuffled |= strcmp(argv[i], "shuffled") == 0;
+        pierced |= strcmp(argv[i], "pierced") == 0;
+        s.twice |= strcmp(argv[i], "twice") == 0;
+        s.torus |= strcmp(argv[i], "shuffled") != 0;
+    }
+    s.columns -= s.columns % 2; /* twice has two halves */
     s.rows = s.columns;
-    s.vertices = (s.columns + 1) * (s.rows + 1);
+    s.vertices = s.torus ? s.columns * s.rows : (s.columns + 1) * (s.rows + 1);
     s.step = 1;
-    if (argc > 4) {
+    if (shuffled) {
         s.step = (unsigned long long)((double)s.vertices * 0.6180339887) | 1;
         while (common_divisor(s.step, s.vertices) != 1) s.step += 2;
     }
-    unsigned long long back = inverse(s.step, s.vertices), triangles = 2 * s.columns * s.rows;
+    unsigned long long back = inverse(s.step, s.vertices), triangles = 2 * s.columns * s.rows, all = triangles;
+    if (pierced) triangles -= (all + 996) / 997;
     FILE *f = fopen(argv[3], "wb");
     if (f == NULL) return perror(argv[3]), 1;
     int ply = strcmp(format, "ply") == 0, obj = strcmp(format, "obj") == 0, off = strcmp(format, "off") == 0, stl = strcmp(format, "stl") == 0;
@@ -76,7 +94,7 @@ int main(int argc, char **argv)
     for (unsigned long long i = 0; i < s.vertices && !stl; i++) {
         unsigned long long at = (unsigned long long)((unsigned __int128)i * back % s.vertices);
         float p[3];
-        point(&s, at % (s.columns + 1), at / (s.columns + 1), p);
+        point(&s, at % (s.columns + !s.torus), at / (s.columns + !s.torus), p);
         if (ply) {
             unsigned char rgb[3] = {(unsigned char)(255 * p[0]), (unsigned char)(255 * p[2]), (unsigned char)(at % 256)};
             fwrite(p, 1, sizeof p, f);
@@ -89,7 +107,10 @@ int main(int argc, char **argv)
     for (unsigned long long row = 0; row < s.rows; row++)
         for (unsigned long long column = 0; column < s.columns; column++)
             for (int half = 0; half < 2; half++) {
+                if (pierced && (2 * (row * s.columns + column) + (unsigned long long)half) % 997 == 0) continue;
                 unsigned long long c[3] = {column + (unsigned long long)half, column + 1, column}, r[3] = {row, row + (unsigned long long)half, row + 1};
+                const unsigned long long part = s.twice ? s.rows / 2 : s.rows, begin = row / part * part;
+                for (int k = 0; s.torus && k < 3; k++) c[k] %= s.columns, r[k] = begin + (r[k] - begin) % part;
                 if (stl) {
                     char record[50] = {0};
                     for (int k = 0; k < 3; k++) {

@@ -21,11 +21,11 @@ CONSTANT = 16 << 20  # program, libraries, stacks, buffers of files: what --memo
 SANITIZED = "asan" in str(support.tools) or "tsan" in str(support.tools)
 
 
-def sheet(folder, kind, triangles, shuffled=False):
+def sheet(folder, kind, triangles, shuffled=False, shape=None):
     if not BENCH.exists():
         skip("bench_mesh is not built")
     path = folder / ("sheet." + kind)
-    subprocess.run([str(BENCH), kind, str(triangles), str(path)] + (["shuffled"] if shuffled else []), check=True)
+    subprocess.run([str(BENCH), kind, str(triangles), str(path)] + (["shuffled"] if shuffled else []) + ([shape] if shape else []), check=True)
     return path
 
 
@@ -70,6 +70,40 @@ def test_thin_and_threads(folder):
     mesh = sheet(folder, "obj", 130000)
     for threads in ("1", "3"):
         compare(folder, mesh, "24M", 24 << 20, "--depth", "9", "--surface", "thin", "--threads", threads)
+
+
+def test_solids_larger_than_memory(folder):
+    """Closed, pierced (open) and self-intersecting ones: what tells inside from outside lies in temporary files, and the bytes are those of a run in memory."""
+    for shape, triangles, depth in (("torus", 300000, 8), ("pierced", 60000, 6), ("twice", 300000, 8)):
+        for kind, shuffled in (("ply", True), ("stl", False)):
+            mesh = sheet(folder, kind, triangles, shuffled, shape)
+            small = "20M" if triangles > 100000 else "14M"
+            for memory, more in ((small, ["--attributes", "none"]), ("40M", ["--threads", "2"])):
+                if memory == "40M" and kind == "stl":
+                    continue
+                report = compare(folder, mesh, memory, int(memory[:-1]) << 20, "--depth", str(depth), "--fill", "solid", "--reference", "0", *more)
+                solid = report["solid"]
+                check(memory == "40M" or solid["in_temporary_files"], report)
+                check(memory == "40M" or shape == "pierced" or (report["input"]["spilled_triangles"] != 0 and report["temporary_files"]["bins"] + report["temporary_files"]["split_units"] > 1), report)
+                check((solid["triangles_open"] != 0) == (shape == "pierced"), solid)
+                check(report["output"]["voxels"] > report["output"]["values"], report["output"])
+
+
+def test_inside_of_textured_solids_larger_than_memory(folder):
+    """Values inside are those of the nearest triangle, which may lie in any bin; shards too."""
+    mesh = textured_sheets(folder, 2, 600, 170, True)
+    report = compare(folder, mesh, "32M", 32 << 20, "--depth", "8", "--fill", "solid", "--reference", "0", "--attributes", "color,normal,material")
+    check(report["solid"]["triangles_open"] != 0 and report["solid"]["in_temporary_files"], report)
+    mesh = sheet(folder, "ply", 300000, True, "torus")
+    compare(folder, mesh, "24M", 24 << 20, "--depth", "8", "--fill", "solid", "--reference", "0", "--attributes", "none")
+    parts = []
+    for i in (1, 2, 3):
+        parts.append(folder / ("part%d.svo" % i))
+        r = tool("svo-voxelize", mesh, "-o", parts[-1], "-f", "--depth", "8", "--fill", "solid", "--attributes", "none", "--shard", "%d/3" % i, "--memory", "24M", "--temp", folder)
+        check(r.code == 0, r)
+    r = tool("svo-merge", *parts, "-o", folder / "merged.svo")
+    check(r.code == 0, r)
+    check((folder / "merged.svo").read_bytes() == (folder / "b.svo").read_bytes(), "shards give other bytes")
 
 
 def messy_obj(path):
