@@ -6,6 +6,7 @@
 
 #include "svo_alloc.h"
 #include "svo_palette.h"
+#include "svo_rules.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -44,6 +45,8 @@ svo_result svo_algorithm1_encode(const svo_palette_job *job, svo_buffer *directo
 /* Prove that svo_algorithm1_value is safe for all values < count. Linear time. Blocks of no bits are counted in `stats` (may be NULL) as
  * SVO_BLOCK_ONE, others as palettes. */
 svo_result svo_algorithm1_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err);
+/* The same, but violations go to `rules` (NULL: the first ends it), and what does not hang on them is checked as well. */
+svo_result svo_algorithm1_check_all(const svo_palette *p, svo_palette_stats *stats, svo_rules *rules, svo_error *err);
 uint32_t svo_algorithm1_value(const svo_palette *p, uint64_t i);
 
 #ifdef __cplusplus

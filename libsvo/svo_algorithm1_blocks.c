@@ -63,7 +63,8 @@ static svo_result check_block(const svo_palette *p, const group_place *g, uint64
     return b.palette + most < entries ? SVO_OK : bad(err, group, "a number is outside the palettes");
 }
 
-static svo_result check_group(const svo_palette *p, const group_place *g, uint64_t group, svo_palette_stats *stats, svo_error *err)
+/* A block out of order hides those behind it; numbers and indices are looked at one by one. */
+static svo_result check_group(const svo_palette *p, const group_place *g, uint64_t group, svo_palette_stats *stats, svo_rules *rules, svo_error *err)
 {
     uint32_t bits = svo_palette_table_bits(p->table_count);
     uint64_t at = 0, entries = bits != 0 ? 8 * (g->end - g->palettes) / bits : SVO_ALGORITHM1_GROUP;
@@ -75,19 +76,22 @@ static svo_result check_group(const svo_palette *p, const group_place *g, uint64
         if (b.at != at) return bad(err, group, "a block's numbers are not behind those before");
         at += (uint64_t)(end - b.begin) * b.width;
         if (at > 8 * (g->palettes - g->numbers)) return bad(err, group, "a block's numbers are outside");
-        SVO_TRY(check_block(p, g, group, b, end, entries, err));
+        SVO_TRY(svo_go_on(rules, check_block(p, g, group, b, end, entries, err), err));
         uint32_t mode = b.width == 0 ? SVO_BLOCK_ONE : SVO_BLOCK_PALETTE + b.width - 1;
         stats->blocks[mode]++;
         stats->values[mode] += end - b.begin;
         stats->bits[mode] += (uint64_t)(end - b.begin) * b.width;
     }
-    if ((at + 7) / 8 != g->palettes - g->numbers) return bad(err, group, "its numbers have another size");
+    if ((at + 7) / 8 != g->palettes - g->numbers) SVO_TRY(svo_go_on(rules, bad(err, group, "its numbers have another size"), err));
     for (uint64_t k = 0; k < entries && bits != 0; k++)
-        if (svo_palette_bits(p->payload + g->palettes, k * bits, bits) >= p->table_count) return bad(err, group, "an index is outside the table");
+        if (svo_palette_bits(p->payload + g->palettes, k * bits, bits) >= p->table_count)
+            SVO_TRY(svo_go_on(rules, bad(err, group, "an index is outside the table"), err));
     return SVO_OK;
 }
 
-svo_result svo_algorithm1_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err)
+svo_result svo_algorithm1_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err) { return svo_algorithm1_check_all(p, stats, NULL, err); }
+
+svo_result svo_algorithm1_check_all(const svo_palette *p, svo_palette_stats *stats, svo_rules *rules, svo_error *err)
 {
     uint64_t groups = p->count / SVO_ALGORITHM1_GROUP + (p->count % SVO_ALGORITHM1_GROUP != 0);
     svo_palette_stats local = {0};
@@ -101,12 +105,12 @@ svo_result svo_algorithm1_check(const svo_palette *p, svo_palette_stats *stats, 
                          .end = last ? end : load64(r + GROUP_RECORD + 8), .length = last ? p->count - i * SVO_ALGORITHM1_GROUP : SVO_ALGORITHM1_GROUP};
         if (g.first != block || g.last <= g.first || g.last > p->superblock_count) return bad(err, i, "it has no blocks, or others' blocks");
         if (g.numbers != behind || g.palettes < g.numbers || g.end < g.palettes || g.end > end) return bad(err, i, "it is not behind the one before");
-        SVO_TRY(check_group(p, &g, i, &local, err));
+        SVO_TRY(svo_go_on(rules, check_group(p, &g, i, &local, rules, err), err));
         block = g.last, behind = g.end;
     }
-    if (block != p->superblock_count || behind != end) return bad(err, groups, "there is more than the groups hold");
+    if (block != p->superblock_count || behind != end) SVO_TRY(svo_go_on(rules, bad(err, groups, "there is more than the groups hold"), err));
     for (uint32_t i = 0; i < SVO_PALETTE_PADDING; i++)
-        if (p->payload[end + i] != 0) return bad(err, groups, "padding is not 0");
+        if (p->payload[end + i] != 0) SVO_TRY(svo_go_on(rules, bad(err, groups, "padding is not 0"), err));
     if (stats != NULL) *stats = local;
     return SVO_OK;
 }

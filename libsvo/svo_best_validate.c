@@ -13,7 +13,11 @@ typedef struct checker {
     svoi_best_pool pool[SVO_MAX_DEPTH];
     uint64_t stored[SVO_MAX_DEPTH]; /* nodes met */
     uint64_t nodes[SVO_MAX_DEPTH + 3]; /* of the octree */
+    bool broken[SVO_MAX_DEPTH]; /* where entries of the pool begin cannot be told */
+    bool lost;                  /* something cannot be counted */
 } checker;
+
+#define UNKNOWN UINT64_MAX /* a size that hangs on a violation */
 
 static svo_result bad(checker *c, const char *rule, uint32_t level, uint64_t bit, const char *why)
 {
@@ -23,6 +27,12 @@ static svo_result bad(checker *c, const char *rule, uint32_t level, uint64_t bit
 }
 
 static svo_result go_on(checker *c, svo_result r) { return svo_go_on(c->rules, r, c->err); }
+/* The same for what makes counting impossible. */
+static svo_result lose(checker *c, svo_result r)
+{
+    c->lost = true;
+    return go_on(c, r);
+}
 
 static svo_result no_memory(checker *c) { return svo_fail(c->err, SVO_OUT_OF_MEMORY, "out of memory (validation)"); }
 
@@ -99,17 +109,22 @@ static svo_result check_node(checker *c, uint32_t level, svoi_best_node n, uint6
             uint64_t tags = svoi_bits_peek(b->stream, h.tags), at = h.values, value = 0;
             for (uint32_t i = (uint32_t)__builtin_popcount(h.shared >> (h.slots - slot)); i > 0; i--, tags <<= 2) at += 6u + b->level[level + 1].tier[tags >> 62];
             take(c, &at, b->level[level + 1].tier[tags >> 62], &value);
+            child_size[o] = UNKNOWN;
+            if (c->broken[level + 1]) continue;
             uint64_t entry = svoi_best_entry_at(&c->pool[level + 1], value);
-            if (entry == UINT64_MAX) return bad(c, "DAG-15", level, n.at, "a reference does not point to an entry of the next level's pool");
+            if (entry == UINT64_MAX) {
+                SVO_TRY(lose(c, bad(c, "DAG-15", level, n.at, "a reference does not point to an entry of the next level's pool")));
+                continue;
+            }
             svoi_best_child(b, level, n, &h, o, &turn);
-            if (turn >= SVOI_TURNS) return bad(c, "DAG-15", level, n.at, "the turn of a reference is none");
+            if (turn >= SVOI_TURNS) SVO_TRY(go_on(c, bad(c, "DAG-15", level, n.at, "the turn of a reference is none")));
             child_size[o] = c->pool[level + 1].size[entry];
             continue;
         }
         svoi_best_node child = {*end, 0};
         uint64_t bits, skip = 0;
         if (inside++ != 0) skip = svoi_bits_get(b->stream, h.skips + (uint64_t)h.skip_width * (inside - 2), h.skip_width);
-        if (h.inside + skip != *end) return bad(c, "DAG-16", level, n.at, "a skip does not lead to the child");
+        if (h.inside + skip != *end) SVO_TRY(lose(c, bad(c, "DAG-16", level, n.at, "a skip does not lead to the child")));
         if (level + 1 == b->block_level) {
             if (!svoi_best_check_mask(b, n.mask, o, &child.at, &child.mask)) return bad(c, "DAG-14", level, n.at, "a mask without a code");
         } else {
@@ -123,10 +138,10 @@ static svo_result check_node(checker *c, uint32_t level, svoi_best_node n, uint6
     uint32_t k = 0;
     for (uint32_t m = n.mask; m != 0; m &= m - 1, k++) {
         uint64_t s = child_size[__builtin_ctz(m)];
-        *size += s;
-        if (!b->numbered || (m & (m - 1)) == 0) continue;
+        *size = *size == UNKNOWN || s == UNKNOWN ? UNKNOWN : *size + s;
+        if (!b->numbered || (m & (m - 1)) == 0 || s == UNKNOWN) continue;
         if (svoi_bits_get(b->stream, h.sizes + (uint64_t)h.size_width * k, h.size_width) != s)
-            return bad(c, "DAG-06", level, n.at, "a size is not that of the child");
+            SVO_TRY(go_on(c, bad(c, "DAG-06", level, n.at, "a size is not that of the child")));
     }
     return SVO_OK;
 }
@@ -154,7 +169,8 @@ static svo_result check_pool(checker *c, uint32_t level)
         if (n.mask == 0) return bad(c, "DAG-04", level, at, "a mask is empty");
         svoi_best_pool_begin(p, at / 8 - first);
         SVO_TRY(check_node(c, level, n, &at, &p->size[i]));
-        if (!take(c, &at, -at & 7, &pad) || pad != 0) return bad(c, "DAG-12", level, at, "an entry is not padded with zeros");
+        if (!take(c, &at, -at & 7, &pad)) return bad(c, "DAG-12", level, at, "an entry is not padded with zeros");
+        if (pad != 0) SVO_TRY(go_on(c, bad(c, "DAG-12", level, at, "an entry is not padded with zeros")));
     }
     if (at != 8 * next) return bad(c, "DAG-12", level, at, "a pool is too long");
     svoi_best_pool_end(p);
@@ -229,7 +245,12 @@ static svo_result check(checker *c)
         if (b->stream[b->stream_bits / 8 + i] != 0) SVO_TRY(go_on(c, bad(c, "DAG-12", 0, b->stream_bits, "the guard behind the stream is not 0")));
     for (uint64_t i = 0; i < c->v->brick_count; i++)
         if (b->dictionary[i] == 0) SVO_TRY(go_on(c, bad(c, "DAG-04", c->v->brick_level, i, "a brick is empty")));
-    for (uint32_t level = b->block_level + 1; level-- > 0;) SVO_TRY(check_pool(c, level));
+    for (uint32_t level = b->block_level + 1; level-- > 0;) {
+        svo_result r = check_pool(c, level);
+        c->broken[level] = r == SVO_INVALID_DATA; /* nothing behind can be told in this pool; the others can */
+        SVO_TRY(c->broken[level] ? lose(c, r) : r);
+    }
+    if (c->lost) return SVO_OK;
     if (c->pool[0].size[0] != c->v->attribute_count) SVO_TRY(go_on(c, bad(c, "DAG-06", 0, c->pool[0].size[0], "number of attributes is not the size of the tree")));
     return count_nodes(c);
 }

@@ -12,7 +12,10 @@ typedef struct pool {
     uint64_t words, count;
     uint64_t *size;  /* attributes */
     uint64_t *times; /* in the octree */
+    bool broken;     /* where its nodes begin cannot be told */
 } pool;
+
+#define UNKNOWN UINT64_MAX /* a size that hangs on a violation */
 
 typedef struct check {
     const svo_view *v;
@@ -25,6 +28,7 @@ typedef struct check {
     uint64_t *seen; /* bricks of the dictionary */
     uint64_t seen_words;
     uint64_t end; /* of the pool at hand */
+    bool lost;    /* something cannot be counted */
 } check;
 
 static svo_result bad(check *c, const char *rule, uint32_t level, uint64_t p, const char *why)
@@ -35,6 +39,13 @@ static svo_result bad(check *c, const char *rule, uint32_t level, uint64_t p, co
 }
 
 static svo_result go_on(check *c, svo_result r) { return svo_go_on(c->rules, r, c->err); }
+/* The same for what makes counting impossible. */
+static svo_result lose(check *c, svo_result r)
+{
+    c->lost = true;
+    return go_on(c, r);
+}
+static uint64_t add_size(uint64_t a, uint64_t b) { return a == UNKNOWN || b == UNKNOWN ? UNKNOWN : a + b; }
 
 /* --- the head of the layout --------------------------------------------------------------------------------------- */
 
@@ -123,19 +134,24 @@ static svo_result check_block(check *c, uint64_t *p, uint64_t *size)
     if (v->fast.full && (svoi_fast_peek(v, begin) >> 8 & 0xff & ~(uint64_t)b.mask) != 0) return bad(c, "DAG-04", level, begin, "a full leaf that is no child");
     uint32_t r = (uint32_t)__builtin_popcount(b.refs);
     if (b.codes > c->end || svoi_fast_codes(v, &b, r) > c->end - b.codes) return bad(c, "DAG-18", level, begin, "a node reaches beyond its pool");
-    if (b.turn >= SVOI_TURNS) return bad(c, "DAG-20", level, begin, "no turn");
+    if (b.turn >= SVOI_TURNS) SVO_TRY(lose(c, bad(c, "DAG-20", level, begin, "no turn")));
     *size = (v->lod ? 1 : 0) + (uint64_t)__builtin_popcount(b.mask & ~b.refs);
     for (uint32_t k = 0; k < r; k++) {
-        uint32_t tag = b.tags >> 2 * k & 3, ids = v->fast.id_bits[b.mode][tag], bits = v->fast.code_bits[b.mode][tag], turn;
+        uint32_t tag = b.tags >> 2 * k & 3, ids = v->fast.id_bits[b.mode][tag], bits = v->fast.code_bits[b.mode][tag];
         uint64_t code = svoi_fast_bits64(v, b.codes + svoi_fast_codes(v, &b, k), bits);
         if (ids == SVO_FAST_LITERAL) {
-            if (code == 0) return bad(c, "DAG-04", level, begin, "a brick is empty");
-        } else {
-            uint64_t id = code & (((uint64_t)1 << ids) - 1);
-            if (id >= v->brick_count || code >> ids >= SVOI_TURNS) return bad(c, "DAG-20", level, begin, "a code names no brick");
-            c->seen[id / 64] |= (uint64_t)1 << id % 64;
+            if (code == 0) SVO_TRY(go_on(c, bad(c, "DAG-04", level, begin, "a brick is empty")));
+            *size = add_size(*size, svoi_brick_size(svo_view_brick_lod(v), code));
+            continue;
         }
-        *size += svoi_brick_size(svo_view_brick_lod(v), svoi_fast_brick(v, &b, k, &turn));
+        uint64_t id = code & (((uint64_t)1 << ids) - 1);
+        if (id >= v->brick_count || code >> ids >= SVOI_TURNS) {
+            SVO_TRY(lose(c, bad(c, "DAG-20", level, begin, "a code names no brick")));
+            *size = UNKNOWN;
+            continue;
+        }
+        c->seen[id / 64] |= (uint64_t)1 << id % 64;
+        *size = add_size(*size, svoi_brick_size(svo_view_brick_lod(v), v->bricks[id]));
     }
     *p = svoi_fast_block_end(v, &b);
     c->stored[level]++;
@@ -167,22 +183,23 @@ static svo_result check_node(check *c, uint32_t level, uint64_t *p, uint64_t *si
             if (tag == 0) {
                 SVO_TRY(check_node(c, level + 1, &inner, &below));
                 if (--inner_left != 0 && l->skip_bits != 0) {
-                    if (svoi_fast_bits(v, skip_at, l->skip_bits) != inner - n.inner) return bad(c, "DAG-19", level, begin, "a skip is not the length of the nodes before");
+                    if (svoi_fast_bits(v, skip_at, l->skip_bits) != inner - n.inner) SVO_TRY(go_on(c, bad(c, "DAG-19", level, begin, "a skip is not the length of the nodes before")));
                     skip_at += l->skip_bits;
                 }
             } else {
                 uint64_t code = svoi_fast_bits(v, code_at, l->code_bits[tag]), k = pool_number(&c->pool[level + 1], code >> 6);
                 code_at += l->code_bits[tag];
-                if (k == c->pool[level + 1].count) return bad(c, "DAG-05", level, begin, "a reference does not point to a node");
-                if ((code & 63) >= SVOI_TURNS) return bad(c, "DAG-20", level, begin, "no turn");
-                below = c->pool[level + 1].size[k];
+                if ((code & 63) >= SVOI_TURNS) SVO_TRY(go_on(c, bad(c, "DAG-20", level, begin, "no turn")));
+                below = UNKNOWN;
+                if (k != c->pool[level + 1].count) below = c->pool[level + 1].size[k];
+                else if (!c->pool[level + 1].broken) SVO_TRY(lose(c, bad(c, "DAG-05", level, begin, "a reference does not point to a node")));
             }
         }
         if (l->size_bits != 0) {
-            if (svoi_fast_bits64(v, size_at, l->size_bits) != below) return bad(c, "DAG-06", level, begin, "a size is not that of the child");
+            if (below != UNKNOWN && svoi_fast_bits64(v, size_at, l->size_bits) != below) SVO_TRY(go_on(c, bad(c, "DAG-06", level, begin, "a size is not that of the child")));
             size_at += l->size_bits;
         }
-        *size += below;
+        *size = add_size(*size, below);
     }
     *p = inner;
     c->stored[level]++;
@@ -193,7 +210,6 @@ static svo_result check_pool(check *c, uint32_t level)
 {
     const svo_view_fast_level *l = &c->v->fast.level[level];
     pool *own = &c->pool[level];
-    SVO_TRY(make_pool(c, level));
     c->end = l->end;
     uint64_t k = 0;
     for (uint64_t p = l->begin; p < l->end; k++) {
@@ -203,7 +219,7 @@ static svo_result check_pool(check *c, uint32_t level)
         SVO_TRY(check_node(c, level, &p, &own->size[k]));
         uint64_t gap = (8 - p % 8) % 8;
         if (p > l->end || gap > l->end - p) return bad(c, "DAG-18", level, p, "a node reaches beyond its pool");
-        if (svoi_fast_bits(c->v, p, (uint32_t)gap) != 0) return bad(c, "DAG-18", level, p, "bits between nodes are not 0");
+        if (svoi_fast_bits(c->v, p, (uint32_t)gap) != 0) SVO_TRY(go_on(c, bad(c, "DAG-18", level, p, "bits between nodes are not 0")));
         p += gap;
     }
     if (k != l->pool_count) return bad(c, "DAG-07", level, k, "fewer nodes in a pool than it says");
@@ -285,7 +301,17 @@ static svo_result validate(check *c)
     c->seen_words = v->brick_count / 64 + 1;
     c->seen = svo_calloc(c->a, c->seen_words, sizeof *c->seen);
     if (c->seen == NULL) return svo_fail(c->err, SVO_OUT_OF_MEMORY, "out of memory (validation)");
-    for (uint32_t level = v->brick_level; level-- > 0;) SVO_TRY(check_pool(c, level));
+    for (uint32_t level = v->brick_level; level-- > 0;) {
+        pool *own = &c->pool[level];
+        SVO_TRY(make_pool(c, level));
+        svo_result r = check_pool(c, level);
+        if (r == SVO_INVALID_DATA) { /* nothing behind can be told in this pool; the others can */
+            own->broken = true;
+            memset(own->bit, 0, own->words * sizeof *own->bit);
+        }
+        SVO_TRY(own->broken ? lose(c, r) : r);
+    }
+    if (c->lost) return SVO_OK;
     bool whole = true;
     SVO_TRY(count_pools(c, &whole));
     uint64_t total = c->pool[0].size[0];

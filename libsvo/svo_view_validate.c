@@ -253,7 +253,7 @@ static svo_result check_channel(validate *c, uint32_t i)
     case SVO_ENCODING_LONG_BLOCKS:
         p = svo_view_palette(v, i);
         if (ch->encoding == SVO_ENCODING_BLOCKS) SVO_TRY(go_on(c, svo_palette_check_all(&p, NULL, c->rules, c->err)));
-        else SVO_TRY(go_on(c, svo_algorithm1_check(&p, NULL, c->err)));
+        else SVO_TRY(go_on(c, svo_algorithm1_check_all(&p, NULL, c->rules, c->err)));
         return normals ? check_normals(c, i, ch->table, ch->table_count) : SVO_OK;
     }
     return bad(c, "DAG-02", i, 0, "unknown encoding of a channel");

@@ -1,4 +1,5 @@
 /* Algorithm 1 of Dado et al. 2016 against the printed algorithm, done literally. */
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -181,6 +182,53 @@ TEST(every_value_comes_back_around_groups)
         coded_free(&d);
     }
     free(s.v), free(table), free(bytes);
+}
+
+typedef struct said { char all[4000]; size_t used; uint32_t count; } said;
+static bool note(void *user, const svo_error *e)
+{
+    said *t = user;
+    int n = snprintf(t->all + t->used, sizeof t->all - t->used, "%s\n", e->message);
+    if (n > 0 && (size_t)n < sizeof t->all - t->used) t->used += (size_t)n;
+    t->count++;
+    return true;
+}
+
+/* Groups, numbers, indices and the end are wrong at once: each is named. */
+TEST(all_violations_of_long_blocks)
+{
+    enum { COUNT = 2 * SVO_ALGORITHM1_GROUP + 3000, TABLE = 300 };
+    uint64_t seed = 5;
+    uint32_t table[TABLE];
+    uint8_t bytes[TABLE * 2];
+    stream s = {.v = malloc(sizeof *s.v * COUNT), .count = COUNT};
+    for (uint32_t i = 0; i < TABLE; i++) {
+        table[i] = i;
+        memcpy(bytes + 2 * (size_t)i, &i, 2);
+    }
+    fill(&s, table, TABLE, &seed);
+    coded c;
+    svo_error err = {0};
+    encode(&s, SVO_KIND_ID16, table, TABLE, bytes, 1, &c);
+    said t = {.used = 0};
+    svo_rules rules = {note, &t, 0};
+    CHECK_OK(svo_algorithm1_check_all(&c.p, NULL, &rules, &err));
+    CHECK_U64(t.count, 0);
+    uint64_t second, third;
+    memcpy(&second, c.payload.data + 24, 8);
+    memcpy(&third, c.payload.data + 48, 8);
+    c.directory.data[2] ^= 0x40;               /* group 0: place of the first block's numbers */
+    c.directory.data[8 * third + 7] ^= 0x80;   /* group 2: reserved bits */
+    c.payload.data[c.payload.size - 1] = 1;    /* padding */
+    uint64_t palettes;
+    memcpy(&palettes, c.payload.data + 24 + 16, 8);
+    c.payload.data[palettes] = c.payload.data[palettes + 1] = 0xff; /* group 1: 9 bits of an index, 511 */
+    CHECK_OK(svo_algorithm1_check_all(&c.p, NULL, &rules, &err));
+    CHECK_MSG(strstr(t.all, "group 0 of long blocks: a block's numbers are not behind") != NULL && strstr(t.all, "group 1 of long blocks: an index is outside") != NULL &&
+                  strstr(t.all, "group 2 of long blocks: its blocks are not in order") != NULL && strstr(t.all, "padding is not 0") != NULL, "%s", t.all);
+    CHECK(second < third && rules.count == t.count);
+    coded_free(&c);
+    free(s.v);
 }
 
 /* Whatever a bit does, the blocks are refused or every value can be read. */
