@@ -247,6 +247,37 @@ def test_one_colour_and_very_many(folder):
     run("svo-compare", folder / "o.svo", folder / "many.svdag")
 
 
+def test_extremes_as_solids(folder):
+    """What has an inside is full, what has none is its surface, whatever stands beside it."""
+    solid = ("--fill", "solid")
+    full = lambda n: {(x, y, z) for x in range(n) for y in range(n) for z in range(n)}
+    check(voxels(folder, obj(folder / "e.obj", [(0.0, 0.0, 0.0)], []), 4, *solid).set == set(), "nothing")
+    for points, triangles in (([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)], [(0, 1, 2)]), ([(0.25, 0.5, 2.0)] * 3, [(0, 1, 2)] * 5),
+                              ([(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (1.0, 0.0, 0.0)], [(0, 1, 2)])):
+        check(both(folder, points, triangles, 4, *solid).set == both(folder, points, triangles, 4).set, "a triangle, a point and a segment have no inside")
+    for triangles in (CUBE_TRIANGLES, [t[::-1] for t in CUBE_TRIANGLES], CUBE_TRIANGLES + CUBE_TRIANGLES, CUBE_TRIANGLES[:5] + [t[::-1] for t in CUBE_TRIANGLES[5:]]):
+        check(both(folder, CUBE, triangles, 4, *solid).set == full(16), "outwards, inside out, twice, and with faces the wrong way")
+    for depth, n in ((0, 1), (1, 2), (3, 8)):
+        check(both(folder, CUBE, CUBE_TRIANGLES, depth, *solid).set == full(n), depth)
+    odd = CUBE + [(math.nan, 0.0, 0.0), (math.inf, 1.0, 1.0), (-math.inf, 0.5, 0.5)]
+    check(both(folder, odd, CUBE_TRIANGLES + [(0, 1, 8), (9, 2, 3), (4, 10, 5)], 4, *solid).set == full(16), "triangles that are not finite open nothing")
+    for scale in (1e-30, 1e30):
+        check(both(folder, [tuple(scale * x for x in c) for c in CUBE], CUBE_TRIANGLES, 4, *solid).set == full(16), scale)
+    far = [tuple(1e9 + 1e-3 * x for x in c) for c in CUBE]
+    check(voxels(folder, obj(folder / "o.obj", far, CUBE_TRIANGLES), 4, *solid).set == full(16), "far away")
+    many = CUBE + [(0.5, 0.5, 0.5)] * 9000
+    check(both(folder, many, CUBE_TRIANGLES + [(i, i + 1, i + 2) for i in range(8, 9000, 3)], 4, *solid).set == full(16), "points inside")
+    points = [(x / 2, y / 2, z / 2) for x, y, z in CUBE] + [(x / 2 + 0.25, y / 2 + 0.25, z / 2 + 0.25) for x, y, z in CUBE] + [(1.0, 1.0, 1.0)]
+    two = CUBE_TRIANGLES + [tuple(i + 8 for i in t) for t in CUBE_TRIANGLES] + [(16, 16, 16)]
+    inside = both(folder, points, two, 5, *solid).set
+    check({(x, y, z) for x, y, z in full(16)} <= inside and {(x + 8, y + 8, z + 8) for x, y, z in full(16)} <= inside and len(inside) <= 2 * 17**3, "two cubes that cross are a union")
+    nodes = [{"scale": [-1, 1, 1]}, {"translation": [0.0, 0.0, 0.0]}]
+    r = voxels(folder, gltf(folder / "m.gltf", CUBE, CUBE_TRIANGLES, nodes), 4, *solid)
+    check(r.set == {(x, y, z) for x in range(16) for y in range(9) for z in range(9)}, "a mirrored cube beside another, whose upper faces lie on planes of the grid")
+    r = both(folder, CUBE, CUBE_TRIANGLES[:-2], 5, *solid)
+    check(r.set == full(32), "of a cube without a side all is inside: from there the hole is less than half of the sky")
+
+
 def test_instances(folder):
     nodes = [{"translation": [3.0 * i, 0, 0], "scale": [s] * 3} for i, s in enumerate((1e-6, 1, 1e6))]
     r = voxels(folder, gltf(folder / "i.gltf", CUBE, CUBE_TRIANGLES, nodes), 5)
