@@ -24,35 +24,59 @@ static svo_vec3 around(svo_vec3 n, double u, double v)
     return svo_add(in_plane, svo_scale(n, sqrt(1 - u)));
 }
 
-/* Light that comes along the first `count` rays of w->more, into w->more_light: from surfaces their own light and what they
- * reflect of the sun and, evenly, of the sky; from elsewhere the sky. */
-static void gather(const renderer *r, worker *w, uint32_t count)
+/* Light from what rays have hit, into w->more_light, and what of it was seen through; ray i is rays[i] here and of[i] in the list of all. */
+static void add_light(const renderer *r, worker *w, const svo_scene_ray *rays, const uint32_t *of, uint32_t count, float *seen)
 {
     const svo_render_options *o = r->o;
     float direct[TILE_PIXELS];
     svo_vec3 normals[TILE_PIXELS];
-    svo_scene_trace(r->bvh, w->more, count, w->more_hits);
-    w->stats.secondary += count;
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->more_hits[i];
         direct[i] = 0;
         if (!hit->node.hit) continue;
         w->stats.secondary_hits++;
-        normals[i] = svoi_render_normal(r, &w->more[i], hit);
+        normals[i] = svoi_render_normal(r, &rays[i], hit);
         direct[i] = (float)fmax(0, svo_dot(normals[i], r->light));
     }
-    if (o->shadows) svoi_render_shadows(r, w, w->more, w->more_hits, normals, count, direct);
+    if (o->shadows) svoi_render_shadows(r, w, rays, w->more_hits, normals, count, direct);
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->more_hits[i];
-        float sky = svoi_sky(svo_normalize(w->more[i].direction)), albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
-        for (int k = 0; k < 3; k++) w->more_light[i][k] = sky;
-        if (!hit->node.hit) continue;
+        const uint32_t k = of[i];
+        float sky = svoi_sky(svo_normalize(rays[i].direction)), albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
+        if (!hit->node.hit) {
+            for (int c = 0; c < 3; c++) w->more_light[k][c] += seen[k] * sky;
+            seen[k] = 0;
+            continue;
+        }
         const svo_view *v = svo_bvh_view(r->bvh, hit->item);
-        const asset_channels *c = &r->channels[svo_bvh_item(r->bvh, hit->item)->asset];
-        svoi_render_color(v, c->color, hit->node.attribute, albedo);
-        svoi_render_color(v, c->emissive, hit->node.attribute, emissive);
-        float light = (float)(o->ambient * (0.75 + 0.25 * normals[i].y) + (1 - o->ambient) * direct[i]);
-        for (int k = 0; k < 3; k++) w->more_light[i][k] = albedo[k] * light + emissive[k];
+        const asset_channels *channels = &r->channels[svo_bvh_item(r->bvh, hit->item)->asset];
+        svoi_render_color(v, channels->color, hit->node.attribute, albedo);
+        svoi_render_color(v, channels->emissive, hit->node.attribute, emissive);
+        const float light = (float)(o->ambient * (0.75 + 0.25 * normals[i].y) + (1 - o->ambient) * direct[i]);
+        const float cover = r->see_through ? svoi_render_pass(r, &w->more[k], hit, normals[i]) : 1;
+        for (int c = 0; c < 3; c++) w->more_light[k][c] += seen[k] * cover * (albedo[c] * light + emissive[c]);
+        seen[k] *= 1 - cover;
+    }
+}
+
+/* Light that comes along the first `count` rays of w->more, into w->more_light: from surfaces their own light and what they
+ * reflect of the sun and, evenly, of the sky; from elsewhere the sky. What covers only a part lets the rest through, front to back. */
+static void gather(const renderer *r, worker *w, uint32_t count)
+{
+    svo_scene_ray rays[TILE_PIXELS];
+    uint32_t of[TILE_PIXELS], n = count;
+    float seen[TILE_PIXELS];
+    memset(w->more_light, 0, count * sizeof *w->more_light);
+    for (uint32_t i = 0; i < count; i++) of[i] = i, seen[i] = 1;
+    while (n != 0) {
+        uint32_t kept = 0;
+        for (uint32_t i = 0; i < n; i++) rays[i] = w->more[of[i]];
+        svo_scene_trace(r->bvh, rays, n, w->more_hits);
+        w->stats.secondary += n;
+        add_light(r, w, rays, of, n, seen);
+        for (uint32_t i = 0; i < n; i++)
+            if (seen[of[i]] >= SVOI_DARK) of[kept++] = of[i];
+        n = kept;
     }
 }
 

@@ -168,6 +168,47 @@ TEST(panes_cast_light_shadows)
     }
 }
 
+/* A mirror and a rough floor below a pane and a ceiling: what they get through the pane is mixed as for the eye. */
+TEST(panes_in_mirrors_and_bounced_light)
+{
+    for (int bounce = 0; bounce < 2; bounce++) {
+        double first[3] = {0, 0, 0}, last[3] = {0, 0, 0};
+        static const uint8_t covers[] = {0, 255, 40, 128, 230};
+        for (size_t c = 0; c < sizeof covers; c++) {
+            paint floor = {{0, 1, 0}, {0, 0, 0}, 255, 0, bounce ? 255 : 0}, pane = {{0, 1, 0}, {255, 0, 0}, covers[c], 0, 0}, ceiling = {{0, 1, 0}, {0, 255, 0}, 255, 0, 0};
+            stage s;
+            stage_begin(&s, 3);
+            stage_asset(&s, plane_view(5, &floor, 8.5));
+            stage_asset(&s, plane_view(5, &pane, 16.3));
+            stage_asset(&s, plane_view(5, &ceiling, 16.3));
+            svo_mat4 m = svo_mat4_identity();
+            for (uint32_t k = 0; k < 3; k++) m.m[7] = 8.0 * k, stage_instance(&s, k, &m);
+            if (!stage_build(&s, 1, 0, 1)) return;
+            svo_render_options o = svo_default_render_options();
+            svo_render_stats st;
+            svo_error err;
+            o.width = o.height = 32, o.shadows = false, o.ambient = bounce, o.footprint = 0, o.light = svo_v3(0, -1, 0);
+            o.bounce = bounce ? 4 : 0, o.reflections = !bounce, o.reflectance = 1;
+            CHECK_OK(svo_eye_look(svo_v3(16, 15, 16), svo_v3(16, 0, 16.01), svo_v3(0, 0, 1), 0.3, &o.eye, &err)); /* below the pane */
+            float *light = light_of(&s, &o, &st, 1), *other = light_of(&s, &o, &st, 3);
+            CHECK(memcmp(light, other, (size_t)o.width * o.height * 16) == 0);
+            const double a = covers[c] / 255.0, pixels = (double)o.width * o.height;
+            double sum[3] = {0, 0, 0};
+            for (uint32_t i = 0; i < o.width * o.height && !test_failed(); i++) {
+                for (int k = 0; k < 3; k++) sum[k] += light[4 * i + (uint32_t)k] / pixels;
+                if (!bounce) CHECK_MSG(fabs(light[4 * i] - a) < 2e-3 && fabs(light[4 * i + 1] - (1 - a)) < 2e-3, "coverage %u: %g %g", covers[c], light[4 * i], light[4 * i + 1]);
+            }
+            if (covers[c] == 0) memcpy(first, sum, sizeof first);
+            else if (covers[c] == 255) memcpy(last, sum, sizeof last);
+            else /* the same rays each time; those through the pane's edge have a shorter way in it */
+                for (int k = 0; k < 3; k++) CHECK_MSG(fabs(sum[k] - (a * last[k] + (1 - a) * first[k])) < 0.01, "coverage %u: %g between %g and %g", covers[c], sum[k], first[k], last[k]);
+            if (bounce && covers[c] == 255) CHECK(last[0] > first[0] + 0.2 && last[1] < first[1] - 0.1);
+            free(light), free(other);
+            stage_end(&s);
+        }
+    }
+}
+
 /* A step of one voxel on a floor, and a plate one voxel above it, cast shadows from where they begin. */
 TEST(shadows_begin_at_the_next_voxel)
 {
