@@ -132,24 +132,24 @@ static uint64_t find_changes_of(uint32_t stride, const uint8_t *values, uint64_t
 /* Finds the last RECENT values that had no code, by a hash; a value that another one has driven out of the table is new again. */
 typedef struct recent {
     struct { uint32_t value, mark; } seen[HASHES]; /* mark: 16 * number of the value among those without a code + its code */
-    uint32_t next;                                 /* mark of the next one */
+    uint32_t number, code;                         /* of the next one */
 } recent;
 
 static void recent_init(recent *r)
 {
     memset(r, 0, sizeof *r);
-    r->next = 16 * (RECENT + 1); /* so that what is in the table now is too old */
+    r->number = RECENT + 1; /* so that what is in the table now is too old */
 }
 
-/* The code of v; RECENT where it is new, then it is known from now on. */
+/* The code of v; RECENT where it is new, then it is known from now on. Each value waits for the number that the one before it leaves: the way to that is short. */
 static inline uint32_t recent_code(recent *r, uint32_t v)
 {
-    const uint32_t h = v * 2654435761u >> 24, value = r->seen[h].value, mark = r->seen[h].mark, next = r->next;
-    const uint32_t other = (value != v) | ((next >> 4) - (mark >> 4) > RECENT), mask = 0 - other;
-    const uint32_t code = next & 15, after = ((next | 15) + 1) | (code + 1 < RECENT ? code + 1 : 0);
+    const uint32_t h = v * 2654435761u >> 24, mark = r->seen[h].mark, number = r->number, code = r->code, differs = r->seen[h].value != v;
+    const uint32_t other = differs | (number - (mark >> 4) > RECENT), mask = 0 - other;
     r->seen[h].value = v;
-    r->seen[h].mark = (next & mask) | (mark & ~mask);
-    r->next = (after & mask) | (next & ~mask);
+    r->seen[h].mark = ((number << 4 | code) & mask) | (mark & ~mask);
+    r->number = number + other;
+    r->code = code + other < RECENT ? code + other : 0;
     return (RECENT & mask) | (mark & 15 & ~mask);
 }
 

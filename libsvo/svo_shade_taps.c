@@ -5,6 +5,7 @@
 
 #include "svoi_lanes.h"
 #include "svoi_shade.h"
+#include "svoi_shade_wide.h"
 
 enum { MOST = 128, ACROSS = 4 }; /* readings of a footprint, and across its short axis */
 
@@ -255,6 +256,7 @@ static void mean_around(const svo_pyramid *p, const plan *n, float x0, float y0,
 static void read_taps(const svo_pyramid *p, const plan *n, tap_lanes *t)
 {
     const uint32_t w = p->width[n->level], count = t->count, filled = (count + 7) & ~7u;
+    const bool wide = p->texels[n->level] != NULL && !p->outside && svoi_clip_has_wide();
     for (uint32_t i = 0; i < n->along; i++)
         for (uint32_t j = 0; j < n->across; j++) {
             for (uint32_t k = 0; k < filled; k++) {
@@ -263,6 +265,10 @@ static void read_taps(const svo_pyramid *p, const plan *n, tap_lanes *t)
                 t->fx[k] = x - (float)ix;
                 t->fy[k] = y - (float)iy;
                 t->texel[k] = (uint32_t)iy * w + (uint32_t)ix;
+            }
+            if (wide) {
+                svoi_wide_taps(p->texels[n->level], w, t->texel, t->fx, t->fy, filled, (float *)t->sum);
+                continue;
             }
             for (uint32_t k = 0; p->outside && k < count; k++) touch(p, n->level, t->texel[k]);
             for (uint32_t k = 0; k < count; k++) {

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "svo_morton.h"
+#include "svoi_shade_wide.h"
 
 static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while averaging attributes"); }
 
@@ -236,8 +237,9 @@ static void flush_batch(svoi_scan *s, svoi_lanes *l, uint32_t count, void (*flus
 }
 
 /* Codes of a brick's voxels, and their numbers, counted on among the brick's `among`. Returns how many there are then. */
-static inline uint32_t expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target)
+static inline uint32_t expand(const svoi_scan *s, uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target)
 {
+    if (s->wide) return svoi_wide_expand(bits, among, brick, rank, n, code, target);
     for (; bits != 0; bits &= bits - 1, n++) {
         const uint32_t bit = (uint32_t)__builtin_ctzll(bits);
         code[n] = brick << 6 | bit;
@@ -251,7 +253,7 @@ static inline void share_brick(svoi_scan *s, uint64_t bits, uint32_t brick)
     svoi_lanes *l = &s->shared;
     const svo_block *b = s->w->block;
     const uint64_t begin = s->slice_begin, size = s->slice_end - begin;
-    const uint32_t n = expand(bits, b->complex[brick], brick, b->complex_rank[brick], l->count, l->code, l->target);
+    const uint32_t n = expand(s, bits, b->complex[brick], brick, b->complex_rank[brick], l->count, l->code, l->target);
     uint32_t kept = s->one_slice ? n : l->count;
     for (uint32_t k = kept; k < n; k++) {
         const uint64_t index = l->target[k] - begin;
@@ -267,6 +269,10 @@ static inline void share_brick(svoi_scan *s, uint64_t bits, uint32_t brick)
 static inline void take_flat(svoi_scan *s, uint64_t bits, uint64_t among, uint32_t rank)
 {
     flat_contribution(s);
+    if (s->wide) {
+        svoi_wide_write(s->layout, &s->flat_values, bits, among, rank, s->channels);
+        return;
+    }
     for (uint64_t rest = bits; rest != 0;) {
         const uint64_t low = rest & (0 - rest), gap = among & ~bits & ~(low - 1); /* from the first voxel on: those of others */
         const uint64_t run = gap != 0 ? rest & ((gap & (0 - gap)) - 1) : rest;
@@ -284,11 +290,11 @@ static inline void take_brick(svoi_scan *s, uint64_t bits, uint32_t brick)
         take_flat(s, bits, among, rank);
     } else if (has_inner(s) && svoi_inner_brick(&s->facet, s->inner_reach, brick)) {
         svoi_wait *w = &s->wait_inner;
-        w->count = expand(bits, among, brick, rank, w->count, w->code, w->target);
+        w->count = expand(s, bits, among, brick, rank, w->count, w->code, w->target);
         if (w->count >= SVOI_LANES) flush_waiting(s, w, true);
     } else {
         svoi_lanes *l = &s->alone;
-        l->count = expand(bits, among, brick, rank, l->count, l->code, l->target);
+        l->count = expand(s, bits, among, brick, rank, l->count, l->code, l->target);
         if (l->count >= SVOI_LANES) flush_batch(s, l, l->count, flush_alone);
     }
 }
@@ -468,6 +474,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     s->shared.count = s->alone.count = s->wait_inner.count = s->wait_edge.count = 0;
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
+    s->wide = svoi_clip_has_wide();
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {
         s->slice_begin = begin;
         s->slice_end = complex - begin < r->slice_voxels ? complex : begin + r->slice_voxels;

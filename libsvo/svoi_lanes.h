@@ -10,7 +10,8 @@
 enum { SVOI_LANES = SVOI_CLIP_BATCH };
 
 /* Voxels that wait to be a batch. */
-typedef struct svoi_wait { uint32_t count, code[2 * SVOI_LANES], target[2 * SVOI_LANES]; } svoi_wait;
+enum { SVOI_WAITING = 2 * SVOI_LANES + 16 }; /* some are written behind the last one */
+typedef struct svoi_wait { uint32_t count, code[SVOI_WAITING], target[SVOI_WAITING]; } svoi_wait;
 
 /* How a footprint in a texture is read: level, counts of readings, and steps between them in texels of the level. */
 typedef struct svoi_tap_plan { uint32_t level, along, across; float step[2], side[2]; } svoi_tap_plan;
@@ -36,8 +37,8 @@ typedef struct svoi_inner {
 
 typedef struct svoi_lanes {
     uint32_t count;
-    uint32_t code[2 * SVOI_LANES];   /* local Morton codes; more than a batch of them may wait */
-    uint32_t target[2 * SVOI_LANES]; /* number among the voxels that are averaged now, or among all */
+    uint32_t code[SVOI_WAITING];   /* local Morton codes; more than a batch of them may wait */
+    uint32_t target[SVOI_WAITING]; /* number among the voxels that are averaged now, or among all */
     svoi_clip_batch clip;
     float b[3][SVOI_LANES];      /* barycentric coordinates of the centroids */
     float color[4][SVOI_LANES], normal[3][SVOI_LANES], emissive[3][SVOI_LANES], metallic[SVOI_LANES], roughness[SVOI_LANES], coverage[SVOI_LANES]; /* 0..1; normals unit */
