@@ -86,56 +86,6 @@ static void find_barycentric(const svo_facet *t, svoi_lanes *l)
 
 /* --- textures ----------------------------------------------------------------------------------------------------- */
 
-typedef float texel4 __attribute__((vector_size(16)));
-
-static inline uint32_t wrapped(int64_t i, uint32_t n, svo_wrap mode)
-{
-    if (i >= 0 && i < n) return (uint32_t)i;
-    if (mode == SVO_WRAP_CLAMP) return i < 0 ? 0 : n - 1;
-    const int64_t period = mode == SVO_WRAP_MIRROR ? 2 * (int64_t)n : (int64_t)n;
-    int64_t k = i % period;
-    if (k < 0) k += period;
-    return k < n ? (uint32_t)k : (uint32_t)(2 * (int64_t)n - 1 - k);
-}
-
-static inline void load_texel(const svo_pyramid *p, const uint8_t *t, texel4 *out)
-{
-    *out = (texel4){p->linear[t[0]], p->linear[t[1]], p->linear[t[2]], 1};
-}
-
-/* Bilinear readings of the image itself at texel coordinates at[][i] (coordinates of the image's corner: 0). Opaque colours only. */
-static void read_finest(const svo_pyramid *p, const svo_texture *how, svoi_lanes *l, float (*out)[SVOI_LANES])
-{
-    const uint32_t w = p->width[0], h = p->height[0];
-    const uint8_t *pixels = p->image->pixels;
-    for (uint32_t i = 0; i < l->count; i++) {
-        double x = l->at[0][i] - 0.5, y = l->at[1][i] - 0.5, fx = floor(x), fy = floor(y);
-        const int64_t ix = (int64_t)fx, iy = (int64_t)fy;
-        uint32_t x0, x1, y0, y1;
-        if ((uint64_t)ix < w - 1 && (uint64_t)iy < h - 1) {
-            x0 = (uint32_t)ix, x1 = x0 + 1, y0 = (uint32_t)iy, y1 = y0 + 1;
-        } else {
-            x0 = wrapped(ix, w, how->wrap_u), x1 = wrapped(ix + 1, w, how->wrap_u);
-            y0 = wrapped(iy, h, how->wrap_v), y1 = wrapped(iy + 1, h, how->wrap_v);
-        }
-        if (p->outside) {
-            const uint32_t corner[4][2] = {{x0, y0}, {x1, y0}, {x0, y1}, {x1, y1}};
-            for (int k = 0; k < 4; k++) svo_image_touch(p->image, corner[k][0], corner[k][1], 1);
-        }
-        const uint8_t *top = pixels + 4 * (uint64_t)y0 * w, *bottom = pixels + 4 * (uint64_t)y1 * w;
-        texel4 a, b, c, d;
-        load_texel(p, top + 4 * (uint64_t)x0, &a);
-        load_texel(p, top + 4 * (uint64_t)x1, &b);
-        load_texel(p, bottom + 4 * (uint64_t)x0, &c);
-        load_texel(p, bottom + 4 * (uint64_t)x1, &d);
-        const float u = (float)(x - fx), v = (float)(y - fy);
-        a += (b - a) * u;
-        c += (d - c) * u;
-        a += (c - a) * v;
-        for (int k = 0; k < 3; k++) out[k][i] = a[k];
-    }
-}
-
 /* One texel coordinate of the centroids. (Both in one loop is what gcc 12's -fivopts gets wrong at -O1.) */
 static void find_texel(const svo_facet *t, const double corner[3], double per_x, double per_y, svoi_lanes *l, double *at)
 {
@@ -175,8 +125,7 @@ static void read_lanes(svo_facet *t, uint32_t slot, const svo_texture *how, cons
     const svo_facet_texture *f = svoi_facet_texture(t, slot, how, p);
     if (p->kind == SVO_TEXEL_COLOR && !how->nearest && magnified(f) && in_range(f)) {
         find_texels(t, f, l);
-        read_finest(p, how, l, out);
-        for (uint32_t i = 0; i < l->count; i++) out[3][i] = 1;
+        svoi_read_points(how, p, l, out);
         return;
     }
     const bool batch = !how->nearest && in_range(f);

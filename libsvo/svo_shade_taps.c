@@ -124,26 +124,32 @@ static inline bool place(const svo_pyramid *p, const svo_texture *how, const dou
     return true;
 }
 
-/* The mean of its readings. */
+/* The mean of its readings. Every other one has a sum of its own. */
 static inline void mean_inside(const svo_pyramid *p, const placed *r, float out[4])
 {
     const plan *n = &r->n;
     const uint32_t w = p->width[n->level];
-    pair sum = {0};
-    for (uint32_t i = 0; i < n->along; i++)
-        for (uint32_t j = 0; j < n->across; j++) {
-            const float x = r->x + (float)i * n->step[0] + (float)j * n->side[0], y = r->y + (float)i * n->step[1] + (float)j * n->side[1];
-            const int32_t ix = (int32_t)x, iy = (int32_t)y; /* neither is negative */
-            const float fx = x - (float)ix, fy = y - (float)iy, rx = 1 - fx;
-            const uint64_t texel = r->origin + (uint64_t)(uint32_t)iy * w + (uint32_t)ix;
-            pair upper, lower;
-            if (p->outside) touch(p, n->level, texel);
-            load_pair(p, n->level, texel, &upper);
-            load_pair(p, n->level, texel + w, &lower);
-            upper += (lower - upper) * fy;
-            sum += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
-        }
+    pair sums[2] = {{0}, {0}};
+    if (p->texels[n->level] != NULL && !p->outside && n->along * n->across > 2 && svoi_clip_has_wide()) {
+        svoi_wide_footprint(p->texels[n->level] + 4 * r->origin, w, n, r->x, r->y, (float *)sums);
+    } else {
+        uint32_t odd = 0;
+        for (uint32_t i = 0; i < n->along; i++)
+            for (uint32_t j = 0; j < n->across; j++, odd ^= 1) {
+                const float x = r->x + (float)i * n->step[0] + (float)j * n->side[0], y = r->y + (float)i * n->step[1] + (float)j * n->side[1];
+                const int32_t ix = (int32_t)x, iy = (int32_t)y; /* neither is negative */
+                const float fx = x - (float)ix, fy = y - (float)iy, rx = 1 - fx;
+                const uint64_t texel = r->origin + (uint64_t)(uint32_t)iy * w + (uint32_t)ix;
+                pair upper, lower;
+                if (p->outside) touch(p, n->level, texel);
+                load_pair(p, n->level, texel, &upper);
+                load_pair(p, n->level, texel + w, &lower);
+                upper += (lower - upper) * fy;
+                sums[odd] += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
+            }
+    }
     const float scale = unit(p, n->level) / (float)(n->along * n->across);
+    const pair sum = sums[0] + sums[1];
     for (int k = 0; k < 4; k++) out[k] = (sum[k] + sum[k + 4]) * scale;
 }
 
@@ -253,10 +259,28 @@ static void mean_around(const svo_pyramid *p, const plan *n, float x0, float y0,
         }
 }
 
+/* Add a reading a lane, where t->texel, fx and fy say. */
+static void add_taps(const svo_pyramid *p, uint32_t level, tap_lanes *t)
+{
+    const uint32_t w = p->width[level], count = t->count;
+    if (p->texels[level] != NULL && !p->outside && svoi_clip_has_wide()) {
+        svoi_wide_taps(p->texels[level], w, t->texel, t->fx, t->fy, (count + 7) & ~7u, (float *)t->sum);
+        return;
+    }
+    for (uint32_t k = 0; p->outside && k < count; k++) touch(p, level, t->texel[k]);
+    for (uint32_t k = 0; k < count; k++) {
+        const float fx = t->fx[k], rx = 1 - fx;
+        pair upper, lower;
+        load_pair(p, level, t->texel[k], &upper);
+        load_pair(p, level, (uint64_t)t->texel[k] + w, &lower);
+        upper += (lower - upper) * t->fy[k];
+        t->sum[k] += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
+    }
+}
+
 static void read_taps(const svo_pyramid *p, const plan *n, tap_lanes *t)
 {
-    const uint32_t w = p->width[n->level], count = t->count, filled = (count + 7) & ~7u;
-    const bool wide = p->texels[n->level] != NULL && !p->outside && svoi_clip_has_wide();
+    const uint32_t w = p->width[n->level], filled = (t->count + 7) & ~7u;
     for (uint32_t i = 0; i < n->along; i++)
         for (uint32_t j = 0; j < n->across; j++) {
             for (uint32_t k = 0; k < filled; k++) {
@@ -266,19 +290,7 @@ static void read_taps(const svo_pyramid *p, const plan *n, tap_lanes *t)
                 t->fy[k] = y - (float)iy;
                 t->texel[k] = (uint32_t)iy * w + (uint32_t)ix;
             }
-            if (wide) {
-                svoi_wide_taps(p->texels[n->level], w, t->texel, t->fx, t->fy, filled, (float *)t->sum);
-                continue;
-            }
-            for (uint32_t k = 0; p->outside && k < count; k++) touch(p, n->level, t->texel[k]);
-            for (uint32_t k = 0; k < count; k++) {
-                const float fx = t->fx[k], rx = 1 - fx;
-                pair upper, lower;
-                load_pair(p, n->level, t->texel[k], &upper);
-                load_pair(p, n->level, (uint64_t)t->texel[k] + w, &lower);
-                upper += (lower - upper) * t->fy[k];
-                t->sum[k] += upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
-            }
+            add_taps(p, n->level, t);
         }
 }
 
@@ -322,6 +334,60 @@ static void store_means(const tap_lanes *t, float scale, float (*out)[SVOI_LANES
         memcpy(&out[2][i], &b, sizeof b);
         memcpy(&out[3][i], &w, sizeof w);
     }
+}
+
+/* A texel number that may be one over the edge, or far away. */
+static inline uint32_t wrapped(int64_t i, uint32_t n, svo_wrap mode)
+{
+    if (i >= 0 && i < n) return (uint32_t)i;
+    if (mode == SVO_WRAP_CLAMP) return i < 0 ? 0 : n - 1;
+    const int64_t period = mode == SVO_WRAP_MIRROR ? 2 * (int64_t)n : (int64_t)n;
+    int64_t k = i % period;
+    if (k < 0) k += period;
+    return k < n ? (uint32_t)k : (uint32_t)(2 * (int64_t)n - 1 - k);
+}
+
+/* Two neighbours in a row of the image, or wherever they are, with all the precision that there is: one reading is all that is taken here. */
+static inline void load_finest(const svo_pyramid *p, const uint8_t *left, const uint8_t *right, pair *out)
+{
+    const float *linear = p->linear;
+    *out = (pair){linear[left[0]], linear[left[1]], linear[left[2]], 1, linear[right[0]], linear[right[1]], linear[right[2]], 1};
+}
+
+void svoi_read_points(const svo_texture *how, const svo_pyramid *p, svoi_lanes *l, float (*out)[SVOI_LANES])
+{
+    const uint32_t w = p->width[0], h = p->height[0], filled = (l->count + 7) & ~7u;
+    const uint8_t *pixels = p->image->pixels;
+    int32_t x[SVOI_LANES], y[SVOI_LANES], outside[SVOI_LANES];
+    tap_lanes t;
+    t.count = l->count;
+    for (uint32_t i = l->count; i < filled; i++) l->at[0][i] = l->at[0][0], l->at[1][i] = l->at[1][0];
+    for (uint32_t i = 0; i < filled; i++) {
+        const double cx = l->at[0][i] - 0.5, cy = l->at[1][i] - 0.5, left = floor(cx), top = floor(cy);
+        x[i] = (int32_t)left, y[i] = (int32_t)top;
+        t.fx[i] = (float)(cx - left), t.fy[i] = (float)(cy - top);
+    }
+    for (uint32_t i = 0; i < filled; i++) outside[i] = ((uint32_t)x[i] >= w - 1) | ((uint32_t)y[i] >= h - 1);
+    for (uint32_t i = 0; i < l->count; i++) {
+        uint32_t x0 = (uint32_t)x[i], x1 = x0 + 1, y0 = (uint32_t)y[i], y1 = y0 + 1;
+        if (outside[i]) {
+            x0 = wrapped(x[i], w, how->wrap_u), x1 = wrapped((int64_t)x[i] + 1, w, how->wrap_u);
+            y0 = wrapped(y[i], h, how->wrap_v), y1 = wrapped((int64_t)y[i] + 1, h, how->wrap_v);
+        }
+        if (p->outside) {
+            const uint32_t corner[4][2] = {{x0, y0}, {x1, y0}, {x0, y1}, {x1, y1}};
+            for (int k = 0; k < 4; k++) svo_image_touch(p->image, corner[k][0], corner[k][1], 1);
+        }
+        const uint8_t *top = pixels + 4 * (uint64_t)y0 * w, *bottom = pixels + 4 * (uint64_t)y1 * w;
+        const float fx = t.fx[i], rx = 1 - fx;
+        pair upper, lower;
+        load_finest(p, top + 4 * (uint64_t)x0, top + 4 * (uint64_t)x1, &upper);
+        load_finest(p, bottom + 4 * (uint64_t)x0, bottom + 4 * (uint64_t)x1, &lower);
+        upper += (lower - upper) * t.fy[i];
+        t.sum[i] = upper * (pair){rx, rx, rx, rx, fx, fx, fx, fx};
+    }
+    for (uint32_t i = l->count; i < filled; i++) t.sum[i] = (pair){0};
+    store_means(&t, 1, out);
 }
 
 /* Where the middles of footprints are, in texels of a level, 0 at the middle of the first one. */

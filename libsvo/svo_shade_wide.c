@@ -68,6 +68,35 @@ void svoi_wide_taps(const uint16_t *texels, uint32_t w, const uint32_t *texel, c
         }
     }
 }
+void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16])
+{
+    /* readings along and across, by number: the last one counts up first */
+    const __m512i side = _mm512_setr_epi32(16, 16, 16, 16, 0, 0, 0, 0, 17, 17, 17, 17, 1, 1, 1, 1), row = _mm512_setr_epi32(0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1);
+    const uint32_t count = n->along * n->across;
+    const __m512 wide = _mm512_set1_ps((float)n->across), one = _mm512_set1_ps(1);
+    __m512 number = _mm512_setr_ps(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15), sum = _mm512_loadu_ps(sums);
+    for (uint32_t first = 0; first < count; first += 16, number = _mm512_add_ps(number, _mm512_set1_ps(16))) {
+        const uint32_t left = count - first < 16 ? count - first : 16;
+        /* small whole numbers: a half more, divided and rounded down, is right */
+        const __m512 i = _mm512_roundscale_ps(_mm512_div_ps(_mm512_add_ps(number, _mm512_set1_ps(0.5f)), wide), 9), j = _mm512_sub_ps(number, _mm512_mul_ps(i, wide));
+        const __m512 px = _mm512_add_ps(_mm512_add_ps(_mm512_set1_ps(x), _mm512_mul_ps(i, _mm512_set1_ps(n->step[0]))), _mm512_mul_ps(j, _mm512_set1_ps(n->side[0])));
+        const __m512 py = _mm512_add_ps(_mm512_add_ps(_mm512_set1_ps(y), _mm512_mul_ps(i, _mm512_set1_ps(n->step[1]))), _mm512_mul_ps(j, _mm512_set1_ps(n->side[1])));
+        const __m512i ix = _mm512_cvttps_epi32(px), iy = _mm512_cvttps_epi32(py);
+        const __m512 fx = _mm512_sub_ps(px, _mm512_cvtepi32_ps(ix)), fy = _mm512_sub_ps(py, _mm512_cvtepi32_ps(iy)), rx = _mm512_sub_ps(one, fx);
+        uint32_t texel[16];
+        _mm512_storeu_si512(texel, _mm512_add_epi32(_mm512_mullo_epi32(iy, _mm512_set1_epi32((int32_t)w)), ix));
+        for (uint32_t k = 0; k < left; k += 2) {
+            const bool both = k + 1 < left;
+            const uint16_t *a = texels + 4 * (uint64_t)texel[k], *b = both ? texels + 4 * (uint64_t)texel[k + 1] : a;
+            const __m512i at = _mm512_set1_epi32((int32_t)k);
+            const __m512 upper = load_pairs(a, b), lower = load_pairs(a + 4 * (uint64_t)w, b + 4 * (uint64_t)w);
+            const __m512 value = _mm512_add_ps(upper, _mm512_mul_ps(_mm512_sub_ps(lower, upper), _mm512_permutexvar_ps(_mm512_add_epi32(row, at), fy)));
+            const __m512 weighted = _mm512_mul_ps(value, _mm512_permutex2var_ps(fx, _mm512_add_epi32(side, at), rx));
+            sum = _mm512_mask_add_ps(sum, both ? 0xffff : 0x00ff, sum, weighted);
+        }
+    }
+    _mm512_storeu_ps(sums, sum);
+}
 #else /* never called: svoi_clip_has_wide says so */
 uint32_t svoi_wide_expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target)
 {
@@ -81,5 +110,9 @@ void svoi_wide_write(const svo_shade_layout *layout, const svoi_values *v, uint6
 void svoi_wide_taps(const uint16_t *texels, uint32_t w, const uint32_t *texel, const float *fx, const float *fy, uint32_t count, float *sums)
 {
     (void)texels, (void)w, (void)texel, (void)fx, (void)fy, (void)count, (void)sums;
+}
+void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16])
+{
+    (void)texels, (void)w, (void)n, (void)x, (void)y, (void)sums;
 }
 #endif

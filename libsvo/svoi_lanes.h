@@ -53,6 +53,8 @@ typedef struct svoi_lanes {
 void svoi_lanes_values(const svo_shader *s, svo_facet *t, svoi_lanes *l);
 /* Averages of a texture over the pieces, at texel coordinates l->at; nearest-texel images and coordinates beyond 1e9 are not for it. */
 void svoi_read_footprints(const svo_facet_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
+/* Bilinear readings of the image itself, of opaque colours, at texel coordinates l->at (the image's corner: 0). */
+void svoi_read_points(const svo_texture *how, const svo_pyramid *p, svoi_lanes *l, float (*out)[SVOI_LANES]);
 /* The table of a facet. False: it is not worth one, or has something that only the general way can do; then no voxel is an inner one. */
 bool svoi_inner_make(const svo_shader *s, svo_facet *t, svoi_inner *out);
 /* Which voxels does no edge reach? 1 or 0 each. */

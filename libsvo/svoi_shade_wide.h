@@ -12,5 +12,7 @@ void svoi_wide_write(const svo_shade_layout *layout, const svoi_values *v, uint6
 /* Add bilinear readings of 16-bit texels, four components each, in rows of w: `count` (a multiple of 8) at texel[], fx[] and fy[] beyond it. Sums are eight
  * floats each: of the left and the right texels. */
 void svoi_wide_taps(const uint16_t *texels, uint32_t w, const uint32_t *texel, const float *fx, const float *fy, uint32_t count, float *sums);
+/* Add the readings of a footprint, of texels from (0, 0) on; readings of even numbers to the first eight sums, the others to the rest. */
+void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16]);
 
 #endif
