@@ -19,6 +19,7 @@
 
 enum { HEAD_FIXED = 336, RECORD = 48, NODE_HEAD = 4 /* words */ };
 enum { FLAG_LOD = 1, FLAG_UNNUMBERED = 2, FLAG_AVERAGED = 4 };
+enum { ENCODING_REPEATS = 4 }; /* blocks without repeated superblocks */
 enum { CODE_FIXED = 72, CODE_LEVEL = 32, CODE_FULL = 1 }; /* layout 2 */
 
 static const uint32_t known[] = {HEAD, NODE, BRCK, LVLS, CODE, TREE, ARAW, ATBL, ADIR, APAY, ACOR, FMT_TYPE_META};
@@ -49,7 +50,7 @@ static size_t store_head(const svo_view *v, uint8_t *b)
     for (uint32_t i = 0; i < v->channel_count; i++) {
         uint8_t *r = b + HEAD_FIXED + RECORD * i;
         fmti_store_channel(&v->channels[i].channel, r);
-        fmt_store32(r + 32, (uint32_t)v->channels[i].encoding);
+        fmt_store32(r + 32, v->channels[i].repeats != NULL ? ENCODING_REPEATS : (uint32_t)v->channels[i].encoding);
         fmt_store32(r + 36, (uint32_t)v->channels[i].correction_count);
         if (v->channels[i].encoding >= SVO_ENCODING_BLOCKS) fmt_store64(r + 40, v->channels[i].table_count);
     }
@@ -120,7 +121,7 @@ static svo_result put_channel(fmt_writer *w, const svo_view *v, uint32_t i, svo_
         SVO_TRY(put(w, ARAW, i, v->attribute_count, stride, c->raw, err));
     } else {
         SVO_TRY(put(w, ATBL, i, c->table_count, stride, c->table, err));
-        SVO_TRY(put(w, ADIR, i, c->superblock_count, entry_bytes(c), c->directory, err));
+        SVO_TRY(put(w, ADIR, i, svo_view_directory_elements(v, c), entry_bytes(c), c->repeats != NULL ? c->repeats : c->directory, err));
         SVO_TRY(put(w, APAY, i, c->payload_size, 1, c->payload, err));
     }
     return c->correction_count != 0 ? put(w, ACOR, i, c->correction_count, SVO_CORRECTION, c->corrections, err) : SVO_OK;
@@ -160,6 +161,7 @@ typedef struct reader {
     svo_error *err;
     svo_rules *rules; /* NULL: the first violation is enough */
     uint64_t usable;  /* channels whose arrays were found whole, a bit each */
+    bool repeats[SVO_MAX_CHANNELS]; /* of channels: encoding 4 */
 } reader;
 
 static svo_result go_on(reader *r, svo_result result) { return svo_go_on(r->rules, result, r->err); }
@@ -187,14 +189,15 @@ static svo_result take(reader *r, uint32_t type, uint64_t id, uint32_t stride, c
     return SVO_OK;
 }
 
-static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t *b, svo_view_channel *c)
+static svo_result parse_record(reader *r, const fmt_chunk *chunk, const uint8_t *b, svo_view_channel *c, bool *repeats)
 {
     const char *why = fmti_parse_channel(b, &c->channel);
     if (why != NULL) return bad(r, chunk, why);
     uint32_t encoding = fmt_load32(b + 32);
     c->table_count = fmt_load64(b + 40);
-    if (encoding > SVO_ENCODING_LONG_BLOCKS) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
-    c->encoding = (svo_encoding)encoding;
+    if (encoding > ENCODING_REPEATS) return bad(r, chunk, "unknown encoding of a channel (DAG-02)");
+    c->encoding = encoding == ENCODING_REPEATS ? SVO_ENCODING_BLOCKS : (svo_encoding)encoding;
+    *repeats = encoding == ENCODING_REPEATS;
     c->correction_count = fmt_load32(b + 36);
     if (c->channel.constant != (c->encoding == SVO_ENCODING_CONSTANT)) return bad(r, chunk, "constant flag and encoding of a channel disagree (DAG-02)");
     if ((c->encoding >= SVO_ENCODING_BLOCKS) != (c->table_count != 0)) return bad(r, chunk, "table size and encoding of a channel disagree (DAG-02)");
@@ -226,7 +229,7 @@ static svo_result parse_head(reader *r, svo_view *v)
     if (info.channel_count > SVO_MAX_CHANNELS || chunk->stored_size != HEAD_FIXED + RECORD * (uint64_t)info.channel_count)
         return bad(r, chunk, "size of HEAD and number of channels disagree (DAG-02)");
     for (uint32_t i = 0; i < info.channel_count; i++) {
-        svo_result one = parse_record(r, chunk, b + HEAD_FIXED + RECORD * i, &v->channels[i]);
+        svo_result one = parse_record(r, chunk, b + HEAD_FIXED + RECORD * i, &v->channels[i], &r->repeats[i]);
         SVO_TRY(go_on(r, one));
         whole = whole && one == SVO_OK;
         info.channels[i] = v->channels[i].channel;
@@ -342,6 +345,17 @@ static svo_result parse_channel(reader *r, svo_view *v, uint32_t i)
     }
     SVO_TRY(take(r, ADIR, i, entry_bytes(c), &chunk, &c->directory));
     c->superblock_count = chunk->element_count;
+    if (r->repeats[i]) {
+        const uint64_t words = svo_palette_repeat_words(v->attribute_count);
+        if (words > chunk->element_count) { /* (the channel is then not looked at) */
+            r->usable &= ~((uint64_t)1 << i);
+            SVO_TRY(go_on(r, bad(r, chunk, "too few elements (DAG-08)")));
+        } else {
+            c->repeats = c->directory;
+            c->directory += words * SVO_PALETTE_ENTRY;
+            c->superblock_count -= words;
+        }
+    }
     SVO_TRY(take(r, APAY, i, 1, &chunk, &c->payload));
     c->payload_size = chunk->stored_size;
     return parse_corrections(r, c, i);

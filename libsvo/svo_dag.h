@@ -52,6 +52,7 @@ typedef struct svo_dag_channel_report {
     double error_mean, error_max; /* delta E CIE94 for colours, degrees for normals, value units else; over all attributes (of normals by bits that are too many to be listed: those stored) */
     uint64_t corrections;         /* averaged: those that are stored */
     uint64_t unused_entries, unused_bytes; /* table entries that no block names, left out; what that saved, narrower indices included */
+    uint64_t repeated_superblocks, repeated_bytes; /* superblocks that only repeat the value before them, left out; what that saved */
     bool left_out;                /* turned out constant and stored once */
 } svo_dag_channel_report;
 

@@ -173,6 +173,21 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
     c->superblock_count = directory->size / (k->algorithm1 ? SVO_ALGORITHM1_ENTRY : SVO_PALETTE_ENTRY);
     c->payload = payload->data;
     c->payload_size = payload->size;
+    c->repeats = NULL;
+    if (!k->algorithm1) {
+        const svo_palette blocks = svo_view_palette(&p->view, k->channel);
+        const uint64_t before = directory->size + payload->size;
+        uint64_t words = 0;
+        r = svoi_palette_skip_repeats(&blocks, directory, payload, &words, err);
+        if (r != SVO_OK) return r == SVO_OUT_OF_MEMORY ? svoi_no_memory(p, "attributes", err) : r;
+        k->report->repeated_superblocks = c->superblock_count - (directory->size / SVO_PALETTE_ENTRY - words);
+        k->report->repeated_bytes = before - directory->size - payload->size;
+        if (words != 0) c->repeats = directory->data;
+        c->directory = directory->data + words * SVO_PALETTE_ENTRY;
+        c->superblock_count = directory->size / SVO_PALETTE_ENTRY - words;
+        c->payload = payload->data;
+        c->payload_size = payload->size;
+    }
     k->report->bytes = table->size + directory->size + payload->size;
     return SVO_OK;
 }
@@ -188,9 +203,9 @@ static void forget_blocks(packing *k)
     svo_buffer_free(&k->p->table[k->channel]);
     svo_buffer_free(&k->p->directory[k->channel]);
     svo_buffer_free(&k->p->payload[k->channel]);
-    c->table = c->payload = c->directory = NULL;
+    c->table = c->payload = c->directory = c->repeats = NULL;
     c->table_count = c->superblock_count = c->payload_size = 0;
-    k->report->unused_entries = k->report->unused_bytes = 0;
+    k->report->unused_entries = k->report->unused_bytes = k->report->repeated_superblocks = k->report->repeated_bytes = 0;
 }
 
 /* Values are mapped one by one, by a number of bits or not at all, and then stored exactly. */

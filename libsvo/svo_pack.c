@@ -238,7 +238,7 @@ static uint64_t channel_bytes(const svo_view *v, const svo_view_channel *k)
     uint64_t stride = svo_channel_stride(k->channel.kind), corrections = k->correction_count * SVO_CORRECTION;
     if (k->encoding == SVO_ENCODING_CONSTANT) return 0;
     if (k->encoding == SVO_ENCODING_RAW) return v->attribute_count * stride + corrections;
-    return k->table_count * stride + k->superblock_count * (k->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) + k->payload_size + corrections;
+    return k->table_count * stride + svo_view_directory_elements(v, k) * (k->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) + k->payload_size + corrections;
 }
 
 /* Channels of bones (svo_skin.h) that no pose asks for. Where nothing else varies they stay: without them the octree's numbering would have to go as well. */

@@ -25,6 +25,8 @@ static int compare_channels(const svo_view *v, const svo_view_channel *a, const 
     COMPARE(a->table_count, b->table_count);
     COMPARE(a->superblock_count, b->superblock_count);
     COMPARE(a->payload_size, b->payload_size);
+    COMPARE(a->repeats != NULL, b->repeats != NULL);
+    if (a->repeats != NULL && (c = compare_bytes(a->repeats, b->repeats, svo_palette_repeat_words(v->attribute_count) * SVO_PALETTE_ENTRY)) != 0) return c;
     if ((c = compare_bytes(a->table, b->table, a->table_count * stride)) != 0) return c;
     if ((c = compare_bytes(a->directory, b->directory, a->superblock_count * entry)) != 0) return c;
     return compare_bytes(a->payload, b->payload, a->payload_size);

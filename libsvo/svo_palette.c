@@ -277,6 +277,22 @@ static uint64_t next_begin(const svo_palette *p, uint64_t i, uint64_t base, uint
     return base <= end && offset <= end - base && base + offset > at ? base + offset : 0;
 }
 
+static svo_result check_repeats(const svo_palette *p, svo_error *err)
+{
+    const uint64_t all = svo_palette_superblocks(p->count), words = svo_palette_repeat_words(p->count);
+    uint64_t entries = 0;
+    for (uint64_t w = 0; w < words; w++) {
+        uint64_t bits;
+        uint32_t before;
+        memcpy(&bits, p->repeats + w * SVO_PALETTE_ENTRY, sizeof bits);
+        memcpy(&before, p->repeats + w * SVO_PALETTE_ENTRY + 8, sizeof before);
+        if (before != entries || (w == 0 && !(bits & 1)) || (w + 1 == words && all % 64 != 0 && bits >> all % 64 != 0))
+            return bad(err, 64 * w, "bits of the superblocks that have entries, or their number");
+        entries += (uint64_t)__builtin_popcountll(bits);
+    }
+    return entries == p->superblock_count ? SVO_OK : bad(err, 0, "wrong number of superblocks");
+}
+
 svo_result svo_palette_check(const svo_palette *p, svo_palette_stats *stats, svo_error *err) { return svo_palette_check_all(p, stats, NULL, err); }
 
 svo_result svo_palette_check_all(const svo_palette *p, svo_palette_stats *stats, svo_rules *rules, svo_error *err)
@@ -284,7 +300,8 @@ svo_result svo_palette_check_all(const svo_palette *p, svo_palette_stats *stats,
     svo_palette_stats local = {0};
     uint64_t groups = (p->superblock_count + SVO_PALETTE_GROUP - 1) / SVO_PALETTE_GROUP, base = 0;
     if (p->table_count > (uint64_t)1 << 32) return bad(err, 0, "the table is too large");
-    if (p->superblock_count != p->count / SVO_SUPERBLOCK + (p->count % SVO_SUPERBLOCK != 0)) return bad(err, 0, "wrong number of superblocks");
+    if (p->repeats == NULL && p->superblock_count != svo_palette_superblocks(p->count)) return bad(err, 0, "wrong number of superblocks");
+    if (p->repeats != NULL) SVO_TRY(check_repeats(p, err));
     if (p->payload_size < SVO_PALETTE_PADDING || groups > (p->payload_size - SVO_PALETTE_PADDING) / 8)
         return bad(err, 0, "the payload lacks its bases or its padding");
     uint64_t at = 8 * groups, end = p->payload_size - SVO_PALETTE_PADDING;

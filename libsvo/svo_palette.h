@@ -48,11 +48,18 @@ typedef struct svo_palette {
     uint64_t count;          /* values */
     const uint8_t *table;    /* table_count values of the kind */
     uint64_t table_count;    /* may be 0 */
-    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes for each superblock */
-    uint64_t superblock_count;
+    const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes for each superblock that is there */
+    uint64_t superblock_count; /* of them */
     const uint8_t *payload;
     uint64_t payload_size;
+    /* NULL: the directory has every superblock. Else SVO_PALETTE_ENTRY bytes for each 64 superblocks: u64, of which a bit is set where one has an
+     * entry, and u32 entries before; one without an entry has in all places the last value of the superblock before it. */
+    const uint8_t *repeats;
 } svo_palette;
+
+/* Superblocks of `count` values, and records of `repeats` for them. */
+static inline uint64_t svo_palette_superblocks(uint64_t count) { return count / SVO_SUPERBLOCK + (count % SVO_SUPERBLOCK != 0); }
+static inline uint64_t svo_palette_repeat_words(uint64_t count) { return (svo_palette_superblocks(count) + 63) / 64; }
 
 /* Bits of a table index: ceil(log2(table_count)). */
 static inline uint32_t svo_palette_table_bits(uint64_t table_count)

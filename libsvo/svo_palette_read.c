@@ -137,17 +137,32 @@ static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
 /* Where a value is: first its superblock and block, then the block's header, then its data. Each step reads what the one before has named, which
  * one value at a time waits for; several values at a time do not. */
 typedef struct search {
+    bool repeat; /* the whole superblock has this value */
     const uint8_t *super, *data;
     uint32_t j, block, begin, end; /* granules */
     uint32_t mode, field;
 } search;
 
+/* Which entry of the directory has superblock s, or the one whose last value it repeats. */
+static inline uint64_t entry_of(const svo_palette *p, uint64_t s, bool *repeat)
+{
+    *repeat = false;
+    if (p->repeats == NULL) return s;
+    const uint8_t *record = p->repeats + s / 64 * SVO_PALETTE_ENTRY;
+    const uint64_t bits = load64(record);
+    uint32_t before;
+    memcpy(&before, record + 8, sizeof before);
+    *repeat = !(bits >> s % 64 & 1);
+    return before + (uint64_t)__builtin_popcountll(bits & ~(uint64_t)0 >> (63 - s % 64)) - 1;
+}
+
 static inline search find_block(const svo_palette *p, uint64_t i)
 {
-    uint64_t s = i / SVO_SUPERBLOCK;
+    search f = {.j = (uint32_t)(i % SVO_SUPERBLOCK)};
+    const uint64_t s = entry_of(p, i / SVO_SUPERBLOCK, &f.repeat);
     const uint8_t *entry = p->directory + s * SVO_PALETTE_ENTRY;
     uint32_t offset;
-    search f = {.j = (uint32_t)(i % SVO_SUPERBLOCK)};
+    if (f.repeat) f.j = SVO_SUPERBLOCK - 1;
     memcpy(&offset, entry + 8, sizeof offset);
     f.super = p->payload + load64(p->payload + s / SVO_PALETTE_GROUP * 8) + offset;
     if (s + 1 < p->superblock_count) { /* where the data would be if all blocks took the same bits: right often enough */
@@ -244,7 +259,10 @@ void svo_palette_values(const svo_palette *p, const uint64_t *index, uint32_t co
     const uint32_t table_bits = svo_palette_table_bits(p->table_count);
     while (count != 0) {
         const uint32_t n = count < AT_ONCE ? count : AT_ONCE;
-        for (uint32_t k = 0; k < n; k++) __builtin_prefetch(p->directory + index[k] / SVO_SUPERBLOCK * SVO_PALETTE_ENTRY);
+        for (uint32_t k = 0; k < n; k++) {
+            bool repeat;
+            __builtin_prefetch(p->directory + entry_of(p, index[k] / SVO_SUPERBLOCK, &repeat) * SVO_PALETTE_ENTRY);
+        }
         for (uint32_t k = 0; k < n; k++) {
             f[k] = find_block(p, index[k]);
             __builtin_prefetch(f[k].super + 2 * f[k].block);
@@ -330,9 +348,12 @@ void svo_palette_range(const svo_palette *p, uint64_t first, uint32_t count, uin
 {
     while (count != 0) {
         search f = find_block(p, first);
-        const uint32_t rest = f.end * SVO_GRANULE - f.j, n = count < rest ? count : rest;
+        const uint32_t rest = f.repeat ? SVO_SUPERBLOCK - (uint32_t)(first % SVO_SUPERBLOCK) : f.end * SVO_GRANULE - f.j, n = count < rest ? count : rest;
         find_data(&f);
-        read_some(p, &f, n, values);
+        if (f.repeat) {
+            values[0] = read_data(p, &f);
+            for (uint32_t i = 1; i < n; i++) values[i] = values[0];
+        } else read_some(p, &f, n, values);
         first += n, values += n, count -= n;
     }
 }

@@ -12,7 +12,8 @@ svo_palette svo_view_palette(const svo_view *v, uint32_t channel)
 {
     const svo_view_channel *c = &v->channels[channel];
     return (svo_palette){.kind = c->channel.kind, .count = v->attribute_count, .table = c->table, .table_count = c->table_count,
-                         .directory = c->directory, .superblock_count = c->superblock_count, .payload = c->payload, .payload_size = c->payload_size};
+                         .directory = c->directory, .superblock_count = c->superblock_count, .payload = c->payload, .payload_size = c->payload_size,
+                         .repeats = c->encoding == SVO_ENCODING_BLOCKS ? c->repeats : NULL};
 }
 
 void svo_view_attribute(const svo_view *v, uint32_t channel, uint64_t index, uint8_t *out)

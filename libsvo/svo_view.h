@@ -89,7 +89,8 @@ typedef struct svo_view_channel {
     const uint8_t *table; /* table_count values of the channel's kind */
     uint64_t table_count;
     const uint8_t *directory; /* SVO_PALETTE_ENTRY bytes a superblock, see svo_palette.h; of long blocks SVO_ALGORITHM1_ENTRY bytes a block */
-    uint64_t superblock_count; /* long blocks: blocks */
+    uint64_t superblock_count; /* that have an entry; long blocks: blocks */
+    const uint8_t *repeats;    /* blocks: NULL, or the records of svo_palette.repeats, directly before the directory */
     const uint8_t *payload;
     uint64_t payload_size;
     /* averaged views: averages that are stored, since those of the values as they are read are not within the channel's bound */
@@ -304,6 +305,12 @@ void svo_view_values(const svo_view *v, uint32_t channel, uint64_t first, uint32
  * different set of voxels once (a brick whose voxels are in one octant: of both), in order of their first voxel, then of their size. */
 typedef bool (*svo_view_average_fn)(void *user, uint64_t attribute);
 bool svo_view_averages(const svo_view *v, uint32_t level, svo_view_node node, svo_view_average_fn fn, void *user); /* false: stopped */
+
+/* Elements of the chunk ADIR: entries of the directory, with the records of `repeats`. */
+static inline uint64_t svo_view_directory_elements(const svo_view *v, const svo_view_channel *c)
+{
+    return c->superblock_count + (c->repeats != NULL ? svo_palette_repeat_words(v->attribute_count) : 0);
+}
 
 /* The blocks of a channel with SVO_ENCODING_BLOCKS or SVO_ENCODING_LONG_BLOCKS. */
 svo_palette svo_view_palette(const svo_view *v, uint32_t channel);

@@ -87,6 +87,10 @@ void svoi_used_free(svoi_used *u, const svo_allocator *a);
 svo_result svoi_palette_drop_unused(svo_channel_kind kind, uint64_t table_count, svo_buffer *directory, svo_buffer *payload, svoi_used *used,
                                     const svo_allocator *a, svo_error *err);
 
+/* Leave out superblocks that repeat the last value of the one before, if that is smaller: `directory` becomes the records of svo_palette.repeats,
+ * *words of them (0: nothing was changed), and the entries. p is what directory and payload were. */
+svo_result svoi_palette_skip_repeats(const svo_palette *p, svo_buffer *directory, svo_buffer *payload, uint64_t *words, svo_error *err);
+
 /* Error of `other` for `value`: CIE94 or degrees, in double precision. */
 double svoi_error_of(svo_channel_kind kind, uint32_t value, uint32_t other);
 

@@ -192,7 +192,7 @@ static void put_costs(const dump_job *j, const svo_view *v)
         }
         const char *const names[] = {"blocks", "directory", "table"};
         uint64_t entry = k->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY;
-        const uint64_t bytes[] = {k->payload_size, entry * k->superblock_count, stride * k->table_count};
+        const uint64_t bytes[] = {k->payload_size, entry * svo_view_directory_elements(v, k), stride * k->table_count};
         for (int i = 0; i < 3; i++) {
             snprintf(what, sizeof what, "%.16s, %s", k->channel.name, names[i]);
             add_cost(list, &count, what, bytes[i]);
@@ -230,7 +230,9 @@ static void put_left_out(json_t *o, const svo_view *v)
         const uint32_t stride = svo_channel_stride(c->channel.kind);
         const uint64_t inner = nodes > v->attribute_count + c->correction_count ? nodes - v->attribute_count - c->correction_count : 0;
         if (c->encoding == SVO_ENCODING_CONSTANT) put_saving(list, "channel that is the same everywhere", c->channel.name, nodes, nodes * stride);
-        else if (inner != 0) put_saving(list, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->channel.name, inner, inner * stride);
+        else if (c->repeats != NULL) put_saving(list, "superblocks of 1024 values that repeat the value before them", c->channel.name, svo_palette_superblocks(v->attribute_count) - c->superblock_count,
+                                               (svo_palette_superblocks(v->attribute_count) - c->superblock_count) * (SVO_PALETTE_ENTRY + 2));
+        if (c->encoding != SVO_ENCODING_CONSTANT && inner != 0) put_saving(list, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->channel.name, inner, inner * stride);
     }
     json_object_set_new(o, "left_out", list);
 }

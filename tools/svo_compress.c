@@ -103,7 +103,7 @@ static json_t *sections(const svo_view *v)
         if (c->encoding == SVO_ENCODING_RAW) add_section(all, "ARAW", -1, c->channel.name, v->attribute_count * stride);
         if (c->encoding != SVO_ENCODING_BLOCKS && c->encoding != SVO_ENCODING_LONG_BLOCKS) continue;
         add_section(all, "ATBL", -1, c->channel.name, c->table_count * stride);
-        add_section(all, "ADIR", -1, c->channel.name, (c->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) * c->superblock_count);
+        add_section(all, "ADIR", -1, c->channel.name, (c->encoding == SVO_ENCODING_BLOCKS ? SVO_PALETTE_ENTRY : SVO_ALGORITHM1_ENTRY) * svo_view_directory_elements(v, c));
         add_section(all, "APAY", -1, c->channel.name, c->payload_size);
         if (c->correction_count != 0) add_section(all, "ACOR", -1, c->channel.name, SVO_CORRECTION * c->correction_count);
     }
@@ -151,6 +151,7 @@ static json_t *left_out(const run *r, const svo_view *v, uint64_t nodes)
         const uint64_t stored = v->attribute_count + c->corrections, inner = nodes > stored ? nodes - stored : 0;
         put_saving(all, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->name, inner, inner * stride);
         put_saving(all, "table entries that nothing names", c->name, c->unused_entries, c->unused_bytes);
+        put_saving(all, "superblocks of 1024 values that repeat the value before them", c->name, c->repeated_superblocks, c->repeated_bytes);
     }
     return all;
 }

@@ -5,7 +5,8 @@
  *
  * The files are packed without loss. METHODS: any of a (Algorithm 1), d (two endpoints), o (ours). -x: ours with this goal
  * alone (svo_palette_goal) and
- * bits of a table index, with a histogram of modes. -r 1: nothing is coded; random access to each channel as it is in the files.
+ * bits of a table index, with a histogram of modes. -r 1: nothing is coded; random access to each channel as it is in the files, and to
+ * attributes of nodes of 4x4x4 and 2x2x2 voxels and of voxels (through svo_view_attribute, with a list of where they are).
  *
  * A line of CSV a method and setting: bits a value (tables, directories and headers included), CIE94 mean and largest,
  * PSNR and largest difference of a byte, millions of values coded a CPU second, nanoseconds of a random access whose
@@ -200,7 +201,7 @@ static void ours(const stream *s, double bound, double price, bool squares, uint
     uint8_t *bytes = get(n, 3);
     for (uint64_t i = 0; i < n; i++)
         for (int k = 0; k < 3; k++) bytes[3 * i + (uint64_t)k] = (uint8_t)(table[i] >> 8 * k);
-    svo_palette p = {SVO_KIND_COLOR_SRGB8, s->count, bytes, n, directory.data, directory.size / SVO_PALETTE_ENTRY, payload.data, payload.size};
+    svo_palette p = {SVO_KIND_COLOR_SRGB8, s->count, bytes, n, directory.data, directory.size / SVO_PALETTE_ENTRY, payload.data, payload.size, NULL};
     svo_palette_stats stats;
     if (svo_palette_check(&p, &stats, &err) != SVO_OK) die(err.message);
     line(s, "blocks", setting, 8 * (directory.size + payload.size) + 24 * n, seconds, decode_blocks, &p);
@@ -215,6 +216,51 @@ static void ours(const stream *s, double bound, double price, bool squares, uint
     svo_buffer_free(&payload);
 }
 
+/* Attributes of nodes of one size: 4x4x4 voxels, 2x2x2, or one. */
+typedef struct sized { const svo_view *v; uint32_t channel; uint64_t *attribute, count; } sized;
+
+static uint32_t decode_sized(const void *coded, uint64_t i)
+{
+    const sized *s = coded;
+    uint32_t value = 0;
+    svo_view_attribute(s->v, s->channel, s->attribute[i], (uint8_t *)&value);
+    return value;
+}
+
+/* Every brick of the octree; at most SVO_MAX_DEPTH deep. */
+static void gather_bricks(sized to[3], uint32_t level, svo_view_node node)
+{
+    const svo_view *v = to->v;
+    if (node.full) return;
+    if (level < v->brick_level) {
+        for (uint32_t m = svo_view_mask(v, level, node); m != 0; m &= m - 1) gather_bricks(to, level + 1, svo_view_child(v, level, node, (uint32_t)__builtin_ctz(m)));
+        return;
+    }
+    const uint64_t brick = svo_view_brick(v, node);
+    to[0].attribute[to[0].count++] = svo_view_node_attribute(v, level, node);
+    for (uint32_t a = 0; a < 8; a++)
+        if (brick >> 8 * a & 0xff) to[1].attribute[to[1].count++] = svo_view_brick_octant(v, node, brick, a);
+    for (uint64_t m = brick; m != 0; m &= m - 1) to[2].attribute[to[2].count++] = svo_view_brick_voxel(v, node, brick, (uint32_t)__builtin_ctzll(m));
+}
+
+/* What an attribute of a node costs by its size, of every channel. */
+static void read_nodes(const char *path, const svo_view *v)
+{
+    static const char *const names[] = {"4x4x4", "2x2x2", "voxel"};
+    sized s[3];
+    if (!v->lod || v->empty) return;
+    for (int k = 0; k < 3; k++) s[k] = (sized){v, 0, get(v->nodes[v->depth], 8), 0};
+    gather_bricks(s, 0, svo_view_root(v));
+    for (uint32_t c = 0; c < v->channel_count; c++)
+        for (int k = 0; k < 3; k++) {
+            if (v->channels[c].encoding == SVO_ENCODING_CONSTANT || s[k].count == 0) continue;
+            s[k].channel = c;
+            printf("%s,%s,%s of %llu,%s,%.1f ns\n", path, v->channels[c].channel.name, names[k], (unsigned long long)s[k].count, v->averaged ? "averaged" : "stored",
+                   access_time(s[k].count, decode_sized, &s[k]));
+        }
+    for (int k = 0; k < 3; k++) free(s[k].attribute);
+}
+
 /* The channels of a file as they are. */
 static void read_channels(const char *path)
 {
@@ -226,8 +272,9 @@ static void read_channels(const char *path)
         if (f.view.channels[c].encoding != SVO_ENCODING_BLOCKS) continue;
         svo_palette p = svo_view_palette(&f.view, c);
         printf("%s,%s,%llu values,%.4f bits,%.1f ns\n", path, f.view.channels[c].channel.name, (unsigned long long)p.count,
-               8.0 * (double)(p.payload_size + SVO_PALETTE_ENTRY * p.superblock_count) / (double)p.count, access_time(p.count, decode_blocks, &p));
+               8.0 * (double)(p.payload_size + SVO_PALETTE_ENTRY * svo_view_directory_elements(&f.view, &f.view.channels[c])) / (double)p.count, access_time(p.count, decode_blocks, &p));
     }
+    read_nodes(path, &f.view);
     fmt_svdag_close(&f);
     fmt_bytes_close(&bytes);
 }

@@ -36,7 +36,7 @@ class Channel:
     def __init__(self, record):
         self.name = record[:16].rstrip(b"\0").decode("ascii")
         self.kind, flags, self.constant, self.encoding, self.corrections, self.table_count = struct.unpack("<II8sIIQ", record[16:])
-        need(self.kind in STRIDE and self.encoding <= 3 and flags == (self.encoding == 0), "DAG-02")
+        need(self.kind in STRIDE and self.encoding <= 4 and flags == (self.encoding == 0), "DAG-02")
         self.stride = STRIDE[self.kind]
 
 
@@ -67,11 +67,22 @@ class Svdag:
             if c.encoding == 1:
                 c.raw = self._take(b"ARAW", number)
                 need(len(c.raw) == self.A * c.stride, "DAG-08")
-            elif c.encoding == 2:
+            elif c.encoding in (2, 4):
                 c.table = self._take(b"ATBL", number)
                 need(len(c.table) == c.table_count * c.stride, "DAG-08")
                 c.directory = self._take(b"ADIR", number)
-                need(len(c.directory) == 12 * ((self.A + 1023) // 1024), "DAG-08")
+                superblocks, c.entry = (self.A + 1023) // 1024, None
+                if c.encoding == 4:
+                    c.entry, before = [], 0
+                    for s in range(superblocks):
+                        word, rank = struct.unpack_from("<QI", c.directory, 12 * (s // 64))
+                        need(s % 64 or rank == before, "DAG-09")
+                        before += word >> s % 64 & 1
+                        c.entry.append((before - 1, word >> s % 64 & 1))
+                    need(before and c.entry[0][1], "DAG-09")
+                    c.directory = c.directory[12 * ((superblocks + 63) // 64):]
+                    superblocks = before
+                need(len(c.directory) == 12 * superblocks, "DAG-08")
                 c.payload = self._take(b"APAY", number)
                 c.bits = (c.table_count - 1).bit_length()
             elif c.encoding == 3:
@@ -238,6 +249,9 @@ class Svdag:
         return c.cache
 
     def block_value(self, c, i):
+        if c.entry is not None:  # a superblock without an entry repeats the last value of the one before
+            entry, own = c.entry[i // 1024]
+            i = 1024 * entry + (i % 1024 if own else 1023)
         blocks, data = self._superblock(c, i // 1024)
         g = i // 16 % 64
         need(blocks & 1, "DAG-09")
@@ -317,7 +331,7 @@ class Svdag:
             return c.constant[:c.stride]
         if c.encoding == 1:
             return c.raw[i * c.stride:(i + 1) * c.stride]
-        return self.block_value(c, i) if c.encoding == 2 else self.long_block_value(c, i)
+        return self.block_value(c, i) if c.encoding != 3 else self.long_block_value(c, i)
 
 
 def linear(v):

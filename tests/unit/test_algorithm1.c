@@ -126,7 +126,7 @@ static void encode(const stream *s, svo_channel_kind kind, const uint32_t *table
     svo_buffer_init(&c->payload, NULL);
     svo_palette_job job = {.kind = kind, .count = s->count, .source = give, .user = (void *)(uintptr_t)s, .table = table, .table_count = table_count, .threads = threads};
     CHECK_OK(svo_algorithm1_encode(&job, &c->directory, &c->payload, &err));
-    c->p = (svo_palette){kind, s->count, bytes, table_count, c->directory.data, c->directory.size / SVO_ALGORITHM1_ENTRY, c->payload.data, c->payload.size};
+    c->p = (svo_palette){kind, s->count, bytes, table_count, c->directory.data, c->directory.size / SVO_ALGORITHM1_ENTRY, c->payload.data, c->payload.size, NULL};
 }
 
 static void coded_free(coded *c)

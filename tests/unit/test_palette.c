@@ -33,7 +33,7 @@ static void encode(const stream *s, const uint32_t *table, uint64_t table_count,
     e->table = malloc(table_count * stride + 1);
     for (uint64_t i = 0; i < table_count; i++)
         for (uint32_t k = 0; k < stride; k++) e->table[i * stride + k] = (uint8_t)(table[i] >> 8 * k);
-    e->p = (svo_palette){s->kind, s->count, e->table, table_count, e->directory.data, e->directory.size / SVO_PALETTE_ENTRY, e->payload.data, e->payload.size};
+    e->p = (svo_palette){s->kind, s->count, e->table, table_count, e->directory.data, e->directory.size / SVO_PALETTE_ENTRY, e->payload.data, e->payload.size, NULL};
 }
 
 static void encoded_free(encoded *e)
@@ -92,6 +92,35 @@ static void check_unused(const stream *s, encoded *e)
     free(values);
 }
 
+/* Without superblocks that repeat what is before them: the same values, one by one, many and in ranges, and no more bytes. `e` is changed. */
+static void check_repeats(const stream *s, encoded *e, uint64_t *records)
+{
+    svo_error err = {0};
+    const uint64_t before = e->directory.size + e->payload.size;
+    uint64_t words = 0, seed = s->count;
+    uint32_t *values = malloc((s->count + 1) * sizeof *values), part[3000];
+    for (uint64_t i = 0; i < s->count; i++) values[i] = svo_palette_value(&e->p, i);
+    CHECK_OK(svoi_palette_skip_repeats(&e->p, &e->directory, &e->payload, &words, &err));
+    if (words != 0) {
+        e->p.repeats = e->directory.data;
+        e->p.directory = e->directory.data + words * SVO_PALETTE_ENTRY;
+        e->p.superblock_count = e->directory.size / SVO_PALETTE_ENTRY - words;
+        e->p.payload = e->payload.data;
+        e->p.payload_size = e->payload.size;
+        CHECK(e->directory.size + e->payload.size < before);
+    }
+    if (svo_palette_check(&e->p, NULL, &err) != SVO_OK) test_fail(__FILE__, __LINE__, "without repeats: %s", err.message);
+    for (uint64_t i = 0; i < s->count && !test_failed(); i++) CHECK_U64(svo_palette_value(&e->p, i), values[i]);
+    for (int k = 0; k < 50 && s->count != 0 && !test_failed(); k++) {
+        const uint64_t first = test_random(&seed) % s->count, left = s->count - first;
+        const uint32_t n = (uint32_t)(1 + test_random(&seed) % (k % 2 != 0 ? 80 : 3000)), count = left < n ? (uint32_t)left : n;
+        svo_palette_range(&e->p, first, count, part);
+        CHECK(memcmp(part, values + first, count * sizeof *part) == 0);
+    }
+    free(values);
+    *records = words;
+}
+
 /* Many values at a time are those one by one, in whatever order and number. */
 static void check_many(const svo_palette *p, uint64_t count)
 {
@@ -139,6 +168,9 @@ static uint64_t check_stream(const stream *s, const uint32_t *table, uint64_t ta
         test_fail(__FILE__, __LINE__, "errors are said to be %g, %g but are %g, %g", e.stats.error_sum, e.stats.error_max, sum, most);
     uint64_t bytes = e.directory.size + e.payload.size;
     check_unused(s, &e);
+    uint64_t records;
+    if (!test_failed()) check_repeats(s, &e, &records);
+    if (s->count != 0 && !test_failed()) check_many(&e.p, s->count);
     encoded_free(&e);
     return bytes;
 }
@@ -357,7 +389,7 @@ TEST(every_color_once)
                                .table = table, .table_count = 1, .threads = 2};
         CHECK_OK(svo_palette_encode(&job, &directory, &payload, NULL, &err));
         uint8_t bytes[3] = {0, 0, 0};
-        svo_palette p = {SVO_KIND_COLOR_SRGB8, 1 << 24, bytes, 1, directory.data, directory.size / SVO_PALETTE_ENTRY, payload.data, payload.size};
+        svo_palette p = {SVO_KIND_COLOR_SRGB8, 1 << 24, bytes, 1, directory.data, directory.size / SVO_PALETTE_ENTRY, payload.data, payload.size, NULL};
         CHECK_OK(svo_palette_check(&p, NULL, &err));
         for (uint64_t i = 0; i < 1 << 24; i += 97) {
             uint32_t want;
@@ -372,6 +404,34 @@ TEST(every_color_once)
 }
 
 /* YCoCg-R comes back for every colour of a coarse grid and every colour beside its planes. */
+/* Long stretches of one value, some beginning inside a superblock; then their records damaged. */
+TEST(repeats_are_left_out)
+{
+    enum { COUNT = 300001 };
+    const uint32_t table[] = {7, 100, 200};
+    uint64_t seed = 8;
+    svo_error err = {0};
+    encoded e;
+    stream s = {malloc(COUNT * sizeof *s.v), COUNT, SVO_KIND_UNORM8};
+    for (uint64_t i = 0, run = 0; i < COUNT; i++, run--) {
+        if (run == 0) run = 1 + (i % 3 == 0 ? test_random(&seed) % 40 : test_random(&seed) % 20000), s.v[i] = table[test_random(&seed) % 3];
+        else s.v[i] = s.v[i - 1];
+    }
+    encode(&s, table, 3, (svo_palette_goal){0}, 1, &e);
+    uint64_t words = 0;
+    check_repeats(&s, &e, &words);
+    CHECK_U64(words, (COUNT / SVO_SUPERBLOCK + 64) / 64);
+    CHECK(e.p.superblock_count < COUNT / SVO_SUPERBLOCK / 2);
+    for (uint64_t bit = 0; bit < 8 * words * SVO_PALETTE_ENTRY && !test_failed(); bit++) {
+        e.directory.data[bit / 8] ^= (uint8_t)(1u << bit % 8);
+        CHECK(svo_palette_check(&e.p, NULL, &err) == SVO_INVALID_DATA);
+        e.directory.data[bit / 8] ^= (uint8_t)(1u << bit % 8);
+    }
+    CHECK_OK(svo_palette_check(&e.p, NULL, &err));
+    encoded_free(&e);
+    free(s.v);
+}
+
 TEST(lattices_of_one_point_are_exact)
 {
     static const uint32_t at[] = {0, 1, 2, 63, 64, 100, 127, 128, 129, 200, 254, 255};

@@ -30,7 +30,7 @@ static void code(value_at at, svo_channel_kind kind, uint64_t count, const uint3
     svo_palette_job job = {.kind = kind, .count = count, .source = give, .user = &at, .table = table, .table_count = table_count, .goal = goal, .threads = threads};
     CHECK_OK(svo_palette_encode(&job, &c->directory, &c->payload, NULL, &err));
     for (uint64_t i = 0; i < table_count; i++) memcpy(c->table + stride * i, &table[i], stride);
-    c->p = (svo_palette){kind, count, c->table, table_count, c->directory.data, c->directory.size / SVO_PALETTE_ENTRY, c->payload.data, c->payload.size};
+    c->p = (svo_palette){kind, count, c->table, table_count, c->directory.data, c->directory.size / SVO_PALETTE_ENTRY, c->payload.data, c->payload.size, NULL};
     CHECK_OK(svo_palette_check(&c->p, NULL, &err));
 }
 
@@ -110,7 +110,7 @@ TEST(more_than_2_to_the_32_values)
         memcpy(payload + base + offset, &header, 2);
     }
     svo_error err = {0};
-    svo_palette p = {SVO_KIND_UNORM8, count, table, TABLE, directory, superblocks, payload, size};
+    svo_palette p = {SVO_KIND_UNORM8, count, table, TABLE, directory, superblocks, payload, size, NULL};
     CHECK_OK(svo_palette_check(&p, NULL, &err));
     for (uint64_t near = (uint64_t)1 << 20; near <= (uint64_t)1 << 32; near *= 2)
         for (uint64_t i = near - 1025; i <= near + 1025; i += 25) CHECK_U64(svo_palette_value(&p, i), i / SVO_SUPERBLOCK % TABLE + 3);
