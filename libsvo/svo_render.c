@@ -2,6 +2,7 @@
 #include "svoi_render.h"
 
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 #include <time.h>
 
@@ -156,13 +157,27 @@ static uint32_t find_channel(const svo_view *v, const char *name, svo_channel_ki
     return c < v->channel_count && v->channels[c].channel.kind == kind ? c : SVO_MAX_CHANNELS;
 }
 
-bool svoi_render_color(const svo_view *v, uint32_t channel, uint64_t index, float rgb[3])
+void svoi_render_colors(const renderer *r, size_t field, const svo_scene_hit *hits, uint32_t count, float (*rgb)[3])
 {
-    uint8_t value[SVO_MAX_STRIDE];
-    if (channel == SVO_MAX_CHANNELS) return false;
-    svo_view_attribute(v, channel, index, value);
-    for (int k = 0; k < 3; k++) rgb[k] = svo_srgb_to_linear(value[k]);
-    return true;
+    svo_hit nodes[TILE_PIXELS];
+    uint8_t values[TILE_PIXELS * 3];
+    for (uint32_t first = 0, end; first < count; first = end) {
+        /* neighbours are mostly of one asset */
+        end = first + 1;
+        if (!hits[first].node.hit) continue;
+        const svo_view *v = svo_bvh_view(r->bvh, hits[first].item);
+        const asset_channels *channels = &r->channels[svo_bvh_item(r->bvh, hits[first].item)->asset];
+        nodes[0] = hits[first].node;
+        for (; end < count; end++) {
+            if (hits[end].node.hit && svo_bvh_view(r->bvh, hits[end].item) != v) break;
+            nodes[end - first] = hits[end].node;
+        }
+        const uint32_t channel = *(const uint32_t *)((const char *)channels + field);
+        if (channel == SVO_MAX_CHANNELS) continue;
+        svo_rays_values(v, channel, nodes, end - first, values);
+        for (uint32_t i = first; i < end; i++)
+            for (uint32_t k = 0; k < 3 && hits[i].node.hit; k++) rgb[i][k] = svo_srgb_to_linear(values[3 * (i - first) + k]);
+    }
 }
 
 /* Unit normal of the surface at a hit, towards the viewer where that is in doubt. */
@@ -248,22 +263,22 @@ static void shade_hits(const renderer *r, worker *w, uint32_t x0, uint32_t y0, u
     if (o->bounce != 0 || o->reflections) svoi_render_secondary(r, w, x0, y0, nx, count, sample);
     double t4 = svoi_thread_seconds();
     w->stats.secondary_seconds += t4 - t3;
+    float albedo[TILE_PIXELS][3], emissive[TILE_PIXELS][3];
+    for (uint32_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) albedo[i][k] = 0.6f, emissive[i][k] = 0;
+    svoi_render_colors(r, offsetof(asset_channels, color), w->hits, count, albedo);
+    svoi_render_colors(r, offsetof(asset_channels, emissive), w->hits, count, emissive);
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->hits[i];
         if (!hit->node.hit) continue;
-        const svo_view *v = svo_bvh_view(r->bvh, hit->item);
-        const asset_channels *c = &r->channels[svo_bvh_item(r->bvh, hit->item)->asset];
-        float albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
-        svoi_render_color(v, c->color, hit->node.attribute, albedo);
-        svoi_render_color(v, c->emissive, hit->node.attribute, emissive);
         if (r->see_through) w->cover[i] = svoi_render_pass(r, &w->rays[i], hit, w->normals[i]);
         const float share = w->seen[i] * w->cover[i];
         /* the sky is brighter than the ground */
         float plain = (float)(0.75 + 0.25 * w->normals[i].y), ambient = (float)o->ambient;
         for (int k = 0; k < 3; k++) {
-            float light = ambient * (o->bounce != 0 ? w->around[i][k] : plain) + (1 - ambient) * direct[i], out = albedo[k] * light;
+            float light = ambient * (o->bounce != 0 ? w->around[i][k] : plain) + (1 - ambient) * direct[i], out = albedo[i][k] * light;
             if (o->reflections) out += w->mirrored[i][3] * (w->mirrored[i][k] - out);
-            w->sum[i][k] += share * (out + emissive[k]);
+            w->sum[i][k] += share * (out + emissive[i][k]);
         }
         w->sum[i][3] += share;
     }

@@ -1,6 +1,7 @@
 /* Light by way of other surfaces: single-bounce colour bleeding with stratified rays, and mirror reflections from stored
  * normals (Dado et al. 2016, section 2.5.6). Random numbers follow from pixel, sample and ray, so pictures do not depend on threads. */
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "svoi_render.h"
@@ -39,22 +40,23 @@ static void add_light(const renderer *r, worker *w, const svo_scene_ray *rays, c
         direct[i] = (float)fmax(0, svo_dot(normals[i], r->light));
     }
     if (o->shadows) svoi_render_shadows(r, w, rays, w->more_hits, normals, count, direct);
+    float albedo[TILE_PIXELS][3], emissive[TILE_PIXELS][3];
+    for (uint32_t i = 0; i < count; i++)
+        for (int c = 0; c < 3; c++) albedo[i][c] = 0.6f, emissive[i][c] = 0;
+    svoi_render_colors(r, offsetof(asset_channels, color), w->more_hits, count, albedo);
+    svoi_render_colors(r, offsetof(asset_channels, emissive), w->more_hits, count, emissive);
     for (uint32_t i = 0; i < count; i++) {
         const svo_scene_hit *hit = &w->more_hits[i];
         const uint32_t k = of[i];
-        float sky = svoi_sky(svo_normalize(rays[i].direction)), albedo[3] = {0.6f, 0.6f, 0.6f}, emissive[3] = {0, 0, 0};
+        const float sky = svoi_sky(svo_normalize(rays[i].direction));
         if (!hit->node.hit) {
             for (int c = 0; c < 3; c++) w->more_light[k][c] += seen[k] * sky;
             seen[k] = 0;
             continue;
         }
-        const svo_view *v = svo_bvh_view(r->bvh, hit->item);
-        const asset_channels *channels = &r->channels[svo_bvh_item(r->bvh, hit->item)->asset];
-        svoi_render_color(v, channels->color, hit->node.attribute, albedo);
-        svoi_render_color(v, channels->emissive, hit->node.attribute, emissive);
         const float light = (float)(o->ambient * (0.75 + 0.25 * normals[i].y) + (1 - o->ambient) * direct[i]);
         const float cover = r->see_through ? svoi_render_pass(r, &w->more[k], hit, normals[i]) : 1;
-        for (int c = 0; c < 3; c++) w->more_light[k][c] += seen[k] * cover * (albedo[c] * light + emissive[c]);
+        for (int c = 0; c < 3; c++) w->more_light[k][c] += seen[k] * cover * (albedo[i][c] * light + emissive[i][c]);
         seen[k] *= 1 - cover;
     }
 }

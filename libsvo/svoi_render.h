@@ -2,6 +2,9 @@
 #ifndef SVOI_RENDER_H
 #define SVOI_RENDER_H
 
+#include <stddef.h>
+
+#include "svo_rays.h"
 #include "svo_render.h"
 
 /* Channels of an asset that shading uses; SVO_MAX_CHANNELS = not there. */
@@ -42,7 +45,9 @@ typedef struct renderer {
 } renderer;
 
 double svoi_thread_seconds(void);
-bool svoi_render_color(const svo_view *v, uint32_t channel, uint64_t index, float rgb[3]);
+/* Linear values of a channel of colours, given by its place in asset_channels, at the hits, at most TILE_PIXELS; rgb[i] stays as it is where there is no hit or no
+ * channel. Of all hits of an asset at a time. */
+void svoi_render_colors(const renderer *r, size_t field, const svo_scene_hit *hits, uint32_t count, float (*rgb)[3]);
 svo_vec3 svoi_render_normal(const renderer *r, const svo_scene_ray *ray, const svo_scene_hit *hit);
 /* Light from a direction in which nothing is; its mean over a hemisphere, weighted by the cosine, is 0.75 + 0.25 n.y. */
 static inline float svoi_sky(svo_vec3 d) { return (float)(0.75 + 0.375 * d.y); }
