@@ -5,13 +5,12 @@
 
 #include "skeli_curve.h"
 
-enum { RAYS = SKELI_CIRCLE, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, RELAX_FIRST = 60, RELAX_LAST = 100, RELAX_PULLED = 24 };
+enum { RAYS = SKELI_CIRCLE, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MOST_PIECES = 32, BRANCH_STEPS = 40, RELAX_FIRST = 60, RELAX_GROWN = 24, RELAX_LAST = 100, RELAX_PULLED = 24 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define FLAT_RAYS 2.0   /* a ray counts up to so many medians: one that runs along another limb says nothing about this one */
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
 #define SPACE 0.5       /* of the radius: joints of a chain are at least that far apart */
 #define LONG_BONE 5.0   /* omega: straight limbs keep a joint now and then, for what is done with the bones afterwards */
-#define STICKS_OUT 1.6  /* way to the tip by the radius at the root of a branch; less is no branch */
 
 static double length3(const double *d) { return sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]); }
 
@@ -73,12 +72,6 @@ static bool centre_step(const skeli_surface *s, const double *d, double *p)
     if (!skeli_surface_inside(s, q)) return false;
     memcpy(p, q, sizeof q);
     return true;
-}
-
-static uint32_t other_end(const skeli_curve *c, uint32_t bone, uint32_t joint)
-{
-    const uint32_t *b = c->bone + 2 * (uint64_t)bone;
-    return b[0] == joint ? b[1] : b[0];
 }
 
 /* Cosine of the turn at b on the way from a to c. */
@@ -254,10 +247,10 @@ static bool end_direction(const skeli_surface *s, const skeli_curve *c, const sk
     if (fans->start[end + 1] - fans->start[end] != 1) return false;
     const double *p = c->position + 3 * (uint64_t)end;
     double radius = skeli_surface_distance(s, p, FAR, NULL);
-    uint32_t bone = fans->bone[fans->start[end]], at = other_end(c, bone, end);
+    uint32_t bone = fans->bone[fans->start[end]], at = skeli_other_end(c, bone, end);
     while (skeli_apart(c->position + 3 * (uint64_t)at, p) < radius && fans->start[at + 1] - fans->start[at] == 2) {
         bone = fans->bone[fans->start[at]] == bone ? fans->bone[fans->start[at] + 1] : fans->bone[fans->start[at]];
-        at = other_end(c, bone, at);
+        at = skeli_other_end(c, bone, at);
     }
     for (int k = 0; k < 3; k++) d[k] = p[k] - c->position[3 * (uint64_t)at + (uint64_t)k];
     return length3(d) >= radius / 2 && unit(d);
@@ -269,7 +262,7 @@ static void reach_tips(const skeli_surface *s, const skeli_fans *fans, skeli_cur
     for (uint32_t j = 0; j < c->joints; j++) {
         double d[3], *p = c->position + 3 * (uint64_t)j;
         if (!skeli_surface_inside(s, p) || !end_direction(s, c, fans, j, d)) continue;
-        const double *last = c->position + 3 * (uint64_t)other_end(c, fans->bone[fans->start[j]], j);
+        const double *last = c->position + 3 * (uint64_t)skeli_other_end(c, fans->bone[fans->start[j]], j);
         double first = skeli_surface_distance(s, p, FAR, NULL);
         for (int step = 0; step < END_STEPS; step++) {
             double radius = skeli_surface_distance(s, p, FAR, NULL), ahead = skeli_surface_ray(s, p, d, FAR), q[3];
@@ -359,9 +352,9 @@ static svo_result fold_back(skeli_pool *pool, const skeli_soup *mesh, skeli_curv
         for (uint32_t j = 0; j < c->joints; j++) into[j] = j;
         for (uint32_t end = 0; end < c->joints; end++) {
             if (fans.start[end + 1] - fans.start[end] != 1) continue;
-            uint32_t bone = fans.bone[fans.start[end]], at = other_end(c, bone, end);
+            uint32_t bone = fans.bone[fans.start[end]], at = skeli_other_end(c, bone, end);
             if (fans.start[at + 1] - fans.start[at] != 2 || into[at] != at) continue;
-            uint32_t before = other_end(c, fans.bone[fans.start[at]] == bone ? fans.bone[fans.start[at] + 1] : fans.bone[fans.start[at]], at);
+            uint32_t before = skeli_other_end(c, fans.bone[fans.start[at]] == bone ? fans.bone[fans.start[at] + 1] : fans.bone[fans.start[at]], at);
             if (into[before] != before || turn(c->position + 3 * (uint64_t)before, c->position + 3 * (uint64_t)at, c->position + 3 * (uint64_t)end) >= 0) continue;
             into[end] = at;
             found = true;
@@ -372,54 +365,6 @@ static svo_result fold_back(skeli_pool *pool, const skeli_soup *mesh, skeli_curv
         SVO_TRY(result);
     }
     return SVO_OK;
-}
-
-/* A chain from an end to a branch is dropped when the way along it to the surface beyond its end is little longer than the radius of the ball around the
- * branch: then it shows a bump of that ball. The rule has no scale. A whole curve without a branch that is no longer than its ball becomes a point. */
-static svo_result drop_stubs(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *s, skeli_curve *c, svo_error *err)
-{
-    for (;;) {
-        skeli_fans fans;
-        SVO_TRY(skeli_fans_make(pool, c, &fans, err));
-        uint32_t *into = skeli_take(pool, c->joints, sizeof *into), shortest = SVO_NONE, root_of_shortest = SVO_NONE;
-        if (into == NULL) return skeli_no_memory(err);
-        double least = STICKS_OUT;
-        for (uint32_t j = 0; j < c->joints; j++) into[j] = j;
-        for (uint32_t end = 0; end < c->joints; end++) {
-            if (fans.start[end + 1] - fans.start[end] != 1) continue;
-            uint32_t bone = fans.bone[fans.start[end]], at = other_end(c, bone, end), from = end;
-            double foot, way = skeli_segment_distance(c->position + 3 * (uint64_t)end, c->position + 3 * (uint64_t)at, c->position + 3 * (uint64_t)at, &foot);
-            while (fans.start[at + 1] - fans.start[at] == 2) {
-                uint32_t next = fans.bone[fans.start[at]] == bone ? fans.bone[fans.start[at] + 1] : fans.bone[fans.start[at]];
-                from = at;
-                bone = next;
-                at = other_end(c, bone, from);
-                way += skeli_segment_distance(c->position + 3 * (uint64_t)from, c->position + 3 * (uint64_t)at, c->position + 3 * (uint64_t)at, &foot);
-            }
-            bool path = fans.start[at + 1] - fans.start[at] == 1;
-            double tip = skeli_surface_distance(s, c->position + 3 * (uint64_t)end, FAR, NULL), root = skeli_surface_distance(s, c->position + 3 * (uint64_t)at, FAR, NULL);
-            double ratio = (way + tip) / root; /* of a path, from its other end */
-            if (path) ratio = (way + tip + root) / (2 * (tip > root ? tip : root));
-            if (!(ratio < least) || !skeli_surface_inside(s, c->position + 3 * (uint64_t)end) || !skeli_surface_inside(s, c->position + 3 * (uint64_t)at)) continue;
-            if (path && root < tip) continue; /* it is dropped from its thinner end */
-            least = ratio;
-            shortest = end;
-            root_of_shortest = at;
-        }
-        if (shortest != SVO_NONE) {
-            uint32_t bone = fans.bone[fans.start[shortest]], at = shortest;
-            while (at != root_of_shortest) {
-                uint32_t next = other_end(c, bone, at);
-                into[at] = root_of_shortest;
-                at = next;
-                if (at != root_of_shortest) bone = fans.bone[fans.start[at]] == bone ? fans.bone[fans.start[at] + 1] : fans.bone[fans.start[at]];
-            }
-        }
-        svo_result result = shortest != SVO_NONE ? skeli_curve_merge(pool, mesh, c, into, err) : SVO_OK;
-        skeli_give(pool, into);
-        skeli_fans_free(pool, &fans);
-        if (shortest == SVO_NONE || result != SVO_OK) return result;
-    }
 }
 
 svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
@@ -435,7 +380,23 @@ svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_su
     SVO_TRY(skeli_fans_make(pool, c, &fans, err));
     reach_tips(surface, &fans, c);
     skeli_fans_free(pool, &fans);
-    SVO_TRY(drop_stubs(pool, mesh, surface, c, err));
+    return skeli_drop_stubs(pool, mesh, surface, omega, SKELI_LIMB_FOUND, c, err);
+}
+
+svo_result skeli_finish(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err)
+{
+    skeli_fans fans;
+    bool grown;
+    SVO_TRY(skeli_grow(pool, mesh, surface, omega, threads, c, &grown, err));
+    if (grown) {
+        SVO_TRY(centre_chains(pool, surface, c, err));
+        SVO_TRY(skeli_split_branches(pool, surface, c, err));
+        SVO_TRY(skeli_relax(pool, surface, RELAX_GROWN, c, err));
+        SVO_TRY(skeli_fans_make(pool, c, &fans, err));
+        reach_tips(surface, &fans, c);
+        skeli_fans_free(pool, &fans);
+        SVO_TRY(skeli_drop_stubs(pool, mesh, surface, omega, SKELI_LIMB_ANY, c, err));
+    }
     SVO_TRY(divide(pool, mesh, surface, omega, c, err)); /* the ends are farther out now, and chains may have grown together */
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     push_joints_inside(surface, c);

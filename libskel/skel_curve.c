@@ -300,11 +300,13 @@ static svo_result place_inside(skeli_pool *pool, const skeli_soup *mesh, const s
     const double omega = o->omega * SKEL_LATTICE;
     const skeli_genus *g = &surface->genus;
     if (inside) SVO_TRY(skeli_centre(pool, mesh, surface, omega, c, err));
-    if (!g->known) return SVO_OK;
-    SVO_TRY(skeli_curve_betti(pool, c, &r->contracted_components, &r->contracted_loops, err));
-    const bool differs = r->contracted_components != g->components || r->contracted_loops != g->genus;
-    SVO_TRY(skeli_curve_of_cells(pool, mesh, surface, g, differs, o->threads, c, &r->rebuilt, err));
-    return r->rebuilt ? skeli_centre(pool, mesh, surface, omega, c, err) : SVO_OK;
+    if (g->known) {
+        SVO_TRY(skeli_curve_betti(pool, c, &r->contracted_components, &r->contracted_loops, err));
+        const bool differs = r->contracted_components != g->components || r->contracted_loops != g->genus;
+        SVO_TRY(skeli_curve_of_cells(pool, mesh, surface, g, differs, o->threads, c, &r->rebuilt, err));
+        if (r->rebuilt) SVO_TRY(skeli_centre(pool, mesh, surface, omega, c, err));
+    }
+    return inside || r->rebuilt ? skeli_finish(pool, mesh, surface, omega, o->threads, c, err) : SVO_OK;
 }
 
 svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_state *s, const skeli_surface *surface, const skel_options *options,

@@ -94,7 +94,7 @@ static void coarsen(cells *c, uint32_t level)
     c->level = level;
 }
 
-/* The coarsest level whose cells are at most omega/2 of the longest side of what is occupied. */
+/* The coarsest level whose cells are at most omega/2 of the longest side of what is occupied; omega/4 where the octree is as deep and normals say where in a cell the surface is. */
 static svo_result choose_level(cells *c, double omega, uint32_t depth, svo_error *err)
 {
     uint32_t low[3] = {UINT32_MAX, UINT32_MAX, UINT32_MAX}, high[3] = {0}, side = 0;
@@ -112,7 +112,7 @@ static svo_result choose_level(cells *c, double omega, uint32_t depth, svo_error
         return svo_fail(err, SVO_LIMIT, "omega %g needs voxels of level %u and finer, which is beyond the limit of %d levels; choose at least %.3g", omega,
                         c->level + 1, MAX_LEVEL, 2 * cell);
     uint32_t level = c->level;
-    while (level > 0 && 2 * cell <= omega / 2) {
+    while (level > 0 && 2 * cell <= (c->channel != SVO_NONE ? omega / 4 : omega / 2)) {
         cell *= 2;
         level--;
     }

@@ -133,6 +133,14 @@ static bool run_at(const star *s, uint32_t a, uint32_t half, uint32_t i, uint32_
     return true;
 }
 
+/* Is there boundary between two cells that are both solid? */
+static bool is_gap(const star *s)
+{
+    for (uint32_t k = 0; k < 8; k++)
+        if ((s->open[k] & s->solid) != 0) return true;
+    return false;
+}
+
 static void look_around(const cells *c, const bits *b, const uint32_t corner[3], star *s)
 {
     uint32_t solid = 0;
@@ -235,22 +243,35 @@ static void draw_back(const star *s, uint32_t side, double where[3])
     for (int e = 0; e < 3; e++) where[e] += moved[e] / members;
 }
 
-static uint32_t corner_index(boundary *out, uint64_t key, const double at[3], const double *to_world, double scale)
+static uint32_t corner_index(boundary *out, uint64_t key, const double at[3])
 {
     const uint64_t slot = corner_slot(&out->corner, key);
     if (out->corner.key[slot] == UINT64_MAX) {
         out->corner.key[slot] = key;
         out->corner.index[slot] = out->corner.count++;
-        for (int e = 0; e < 3; e++)
-            out->position[3 * out->points + (uint64_t)e] = to_world[4 * e] * at[0] * scale + to_world[4 * e + 1] * at[1] * scale + to_world[4 * e + 2] * at[2] * scale + to_world[4 * e + 3];
+        memcpy(out->position + 3 * out->points, at, 3 * sizeof *at);
         out->points++;
     }
     return out->corner.index[slot];
 }
 
+/* Points of a quad: the normal of its cell, and the way that its side faces. */
+static void add_normals(const cells *c, uint64_t cell, int s, const uint32_t *q, uint32_t n, boundary *out)
+{
+    float length2 = 0;
+    for (uint64_t e = 0; e < 3; e++) length2 += normals(c)[3 * cell + e] * normals(c)[3 * cell + e];
+    const float least = (float)CERTAIN * (float)counts(c)[cell], by = length2 > least * least ? 1 / sqrtf(length2) : 0;
+    for (uint32_t k = 0; k < n; k++) {
+        float *to = out->normal + 6 * (uint64_t)q[k];
+        for (uint64_t e = 0; e < 3; e++) {
+            to[e] += by * normals(c)[3 * cell + e];
+            to[3 + e] += (float)(int32_t)side_step[s][e];
+        }
+    }
+}
+
 /* Only occupied cells have sides to the outside: a filled hole is enclosed by them. */
-static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b, const double *to_world, uint64_t max_vertices, boundary *out,
-                                svo_error *err)
+static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b, uint64_t max_vertices, boundary *out, svo_error *err)
 {
     uint64_t quads = count_quads(c, b), capacity = 64;
     if (quads > 2 * max_vertices)
@@ -264,14 +285,18 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
     out->triangle = skeli_take(pool, 24 * quads, sizeof *out->triangle);
     if (out->corner.key == NULL || out->corner.index == NULL || out->position == NULL || out->triangle == NULL) return skeli_no_memory(err);
     memset(out->corner.key, 0xff, capacity * sizeof *out->corner.key);
-    double scale = ldexp(1, (int)c->shift);
+    if (c->channel != SVO_NONE) {
+        out->normal = skeli_take(pool, 6 * 9 * quads, sizeof *out->normal);
+        if (out->normal == NULL) return skeli_no_memory(err);
+        memset(out->normal, 0, 6 * 9 * quads * sizeof *out->normal);
+    }
     for (uint64_t i = 0; i < c->count; i++) {
         uint32_t p[3];
         if (i > 0 && codes(c)[i] == codes(c)[i - 1]) continue;
         svo_morton_decode(codes(c)[i], &p[0], &p[1], &p[2]);
         for (int s = 0; s < 6; s++) {
             if (!is_side(c, b, i, p, s)) continue;
-            uint32_t q[8], n = 0;
+            uint32_t q[9], n = 0;
             for (int k = 0; k < 4; k++) {
                 uint32_t at[3], to[3], axis = 0, run = 0;
                 for (int e = 0; e < 3; e++) {
@@ -284,14 +309,15 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
                 const uint32_t side = 3 * cell_at(p, at) + (uint32_t)s / 2, half = to[axis] > at[axis];
                 double where[3] = {at[0], at[1], at[2]};
                 if (around.groups > 1) draw_back(&around, side, where);
-                q[n++] = corner_index(out, corner_key(&out->corner, at, &around, side), where, to_world, scale);
+                q[n++] = corner_index(out, corner_key(&out->corner, at, &around, side), where);
+                if (c->channel != SVO_NONE && is_gap(&around)) out->normal[6 * (uint64_t)q[n - 1]] = NAN; /* stays where it is */
                 if (runs_at(&around, axis, half, side, &run) < 2) continue;
                 /* cells touch at this edge: it gets a point for each run, so that it is no edge of both */
                 for (int e = 0; e < 3; e++) where[e] = (at[e] + to[e]) / 2.0;
                 const uint32_t u = (axis + 1) % 3, v = (axis + 2) % 3, *first = half != 0 ? at : to;
                 where[u] += run == 0 || run == 3 ? -0.125 : 0.125;
                 where[v] += run < 2 ? -0.125 : 0.125;
-                q[n++] = corner_index(out, EDGE_KEY + 16 * (((uint64_t)first[2] * out->corner.side + first[1]) * out->corner.side + first[0]) + 4 * axis + run, where, to_world, scale);
+                q[n++] = corner_index(out, EDGE_KEY + 16 * (((uint64_t)first[2] * out->corner.side + first[1]) * out->corner.side + first[0]) + 4 * axis + run, where);
             }
             /* with such points, around the middle: a diagonal beside one of them would be an edge of both after all */
             const uint32_t middle = (uint32_t)out->points;
@@ -303,7 +329,9 @@ static svo_result make_boundary(skeli_pool *pool, const cells *c, const bits *b,
                 }
                 out->points++;
                 out->corner.count++;
+                q[n] = middle;
             }
+            if (c->channel != SVO_NONE) add_normals(c, i, s, q, n > 4 ? n + 1 : n, out);
             for (uint32_t k = 0; k < (n > 4 ? n : 2); k++) {
                 const uint32_t three[3] = {n > 4 ? middle : q[0], q[n > 4 ? k : k + 1], q[n > 4 ? (k + 1) % n : k + 2]};
                 memcpy(out->triangle + 3 * out->triangles++, three, sizeof three);
@@ -330,7 +358,16 @@ svo_result skeli_voxels_boundary(skeli_pool *pool, const cells *c, const double 
         row(&b, b.occupied, y, z)[x >> 6] |= (uint64_t)1 << (x & 63);
     }
     flood(&b);
-    SVO_TRY(make_boundary(pool, c, &b, to_world, max_vertices, out, err));
+    SVO_TRY(make_boundary(pool, c, &b, max_vertices, out, err));
+    if (c->channel != SVO_NONE) skeli_voxels_fit(&b, out);
+    skeli_give(pool, out->normal);
+    out->normal = NULL;
+    const double scale = ldexp(1, (int)c->shift);
+    for (uint64_t i = 0; i < out->points; i++) {
+        double *p = out->position + 3 * i;
+        const double at[3] = {p[0], p[1], p[2]};
+        for (int e = 0; e < 3; e++) p[e] = to_world[4 * e] * at[0] * scale + to_world[4 * e + 1] * at[1] * scale + to_world[4 * e + 2] * at[2] * scale + to_world[4 * e + 3];
+    }
     skeli_give(pool, b.occupied);
     b.occupied = NULL;
     *grid = b;

@@ -18,6 +18,12 @@ typedef struct skeli_curve {
     double *position;   /* joints, lattice steps */
 } skeli_curve;
 
+static inline uint32_t skeli_other_end(const skeli_curve *c, uint32_t bone, uint32_t joint)
+{
+    const uint32_t *b = c->bone + 2 * (uint64_t)bone;
+    return b[0] == joint ? b[1] : b[0];
+}
+
 /* Bones of each joint: bone[start[j] .. start[j + 1]). */
 typedef struct skeli_fans { uint32_t *start, *bone; } skeli_fans;
 svo_result skeli_fans_make(skeli_pool *pool, const skeli_curve *c, skeli_fans *out, svo_error *err);
@@ -40,9 +46,19 @@ svo_result skeli_curve_betti(skeli_pool *pool, const skeli_curve *c, uint32_t *c
 /* --- after the weld --- */
 /* A loop that can be filled by a disc inside the solid is none: its joints become one. */
 svo_result skeli_close_false_loops(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, skeli_curve *c, svo_error *err);
-/* Let bones follow the bends of their limb, put joints into the middle of the sections across them, bones inside the solid, ends where their ball touches
- * the tip; drop branches that do not stick out. */
+/* Let bones follow the bends of their limb, put joints into the middle of the sections across them, ends where their ball touches the tip; drop branches that do not stick out. */
 svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err);
+/* After that: limbs that are missing, bones inside the solid, no joints that are not needed. */
+svo_result skeli_finish(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err);
+/* Which limbs the curve has (skel_limbs.c): branches that do not stick out are dropped; limbs that the contraction has merged with others, or with the body, get one. *grown: whether there are any. */
+/* Half the widest opposite pair of rays across a unit vector. */
+double skeli_half_width(const skeli_surface *s, const double p[3], const double along[3]);
+/* Limbs that the contraction has found, those that are to be made, and all after that. */
+typedef enum skeli_limb { SKELI_LIMB_FOUND, SKELI_LIMB_NEW, SKELI_LIMB_ANY } skeli_limb;
+/* Is a chain of points, from its end to its root, a limb, of which at most `most` sticks out? *ratio: the way to its tip by the radius at its root. */
+bool skeli_is_limb(const skeli_surface *s, double omega, skeli_limb which, double most, const double *point, uint32_t count, double *ratio);
+svo_result skeli_drop_stubs(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_limb which, skeli_curve *c, svo_error *err);
+svo_result skeli_grow(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, bool *grown, svo_error *err);
 /* Joints but ends to where the curve is shortest, near the surface being far (skel_relax.c). */
 svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err);
 /* Branches of four and more bones become several of three; those of three that are joined by a bone shorter than `nearer` one. */

@@ -1,4 +1,4 @@
-/* Inside libskel: the cells of an octree's level and the closed surface around them (skel_voxels.c, skel_voxels_boundary.c). */
+/* Inside libskel: the cells of an octree's level and the closed surface around them (skel_voxels.c, skel_voxels_boundary.c, skel_voxels_fit.c). */
 #ifndef SKELI_VOXELS_H
 #define SKELI_VOXELS_H
 
@@ -52,13 +52,16 @@ typedef struct corners {
 
 typedef struct boundary {
     corners corner;
-    double *position;
+    double *position; /* of the cells' grid until the end of skeli_voxels_boundary, then of the world */
+    float *normal;    /* 6 a point, in between: the sum of the unit normals of the cells at it, and of the directions of the sides at it */
     uint32_t *triangle;
     uint64_t points, triangles;
 } boundary;
 
 /* What is outside of the cells, and the boundary there, as triangles in the world (of the pool). SVO_LIMIT beyond 2 * max_vertices sides, SVO_OUT_OF_MEMORY. */
 svo_result skeli_voxels_boundary(skeli_pool *pool, const cells *c, const double *to_world, uint64_t max_vertices, bits *grid, boundary *out, svo_error *err);
+/* Move points of the boundary (in the cells' grid) to where the surface was that the cells were made of, as far as normals tell. */
+void skeli_voxels_fit(const bits *grid, boundary *b);
 /* Points of the boundary at the corners of the cell at p. Returns how many. */
 uint32_t skeli_voxels_points(const cells *c, const bits *grid, const boundary *b, const uint32_t p[3], uint32_t points[24]);
 

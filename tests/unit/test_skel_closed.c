@@ -41,6 +41,7 @@ TEST(spot) { closed("C_textured/spot_cow/spot_triangulated.obj", 0, 1.692); }
 /* At twice the default omega thin parts are merged; loops and places hold. */
 TEST(coarse_horse) { closed("A_organic/horse/horse.ply", 0.025, 1.05); }
 TEST(coarse_hand) { closed("A_organic/hand_closed/hand_closed.obj", 0.025, 1.56); }
-TEST(coarse_armadillo) { closed("A_organic/armadillo/armadillo.obj", 0.025, 1.05); }
+TEST(coarse_armadillo) { closed("A_organic/armadillo/armadillo.obj", 0.025, 0.92); } /* 0.96 without the fingers that the contraction merges */
+TEST(coarse_spot) { closed("C_textured/spot_cow/spot_triangulated.obj", 0.025, 1.692); } /* 2.10 without the legs and the tail */
 TEST(coarse_elephant) { closed("A_organic/elephant/elephant.off", 0.018, 1.7); }
 TEST(coarse_fertility) { closed("A_organic/fertility/fertility.off", 0.018, 1.9); }
