@@ -226,37 +226,19 @@ static void flood(svo_solid *s, uint8_t side)
 /* Ask for every voxel of a brick that is not known yet. */
 static void ask_voxels(svo_solid *s, uint32_t brick, uint64_t voxels)
 {
-    for (uint64_t v = voxels; v != 0; v &= v - 1) {
-        int32_t p[3];
-        double margin;
-        centre_of(s, brick << 6 | (uint32_t)__builtin_ctzll(v), p);
-        if (ask(s->winding, p, &margin, s->counts)) s->inside[brick] |= v & (0 - v);
+    int32_t p[SVO_WINDING_MANY][3];
+    bool inside[SVO_WINDING_MANY];
+    double margin[SVO_WINDING_MANY];
+    uint32_t count = 0;
+    for (uint64_t v = voxels; v != 0; v &= v - 1) centre_of(s, brick << 6 | (uint32_t)__builtin_ctzll(v), p[count++]);
+    svo_winding_inside_many(s->winding, (const int32_t(*)[3])p, count, inside, margin);
+    s->counts->asked += count;
+    count = 0;
+    for (uint64_t v = voxels; v != 0; v &= v - 1, count++) {
+        if (inside[count]) s->inside[brick] |= v & (0 - v);
+        s->counts->ambiguous += margin[count] < 0.1;
     }
     s->known[brick] |= voxels;
-    if (!is_touched(s, brick)) s->mixed[brick >> 6] |= (uint64_t)1 << (brick & 63);
-}
-
-/* The same, octant by octant where that can be. */
-static void ask_octants(svo_solid *s, uint32_t brick, uint64_t voxels)
-{
-    for (uint32_t a = 0; a < 8; a++) {
-        uint64_t octant = voxels & (uint64_t)255 << 8 * a;
-        if (octant == 0) continue;
-        if (octant == (uint64_t)255 << 8 * a) {
-            int32_t low[3], high[3], p[3];
-            double margin;
-            centre_of(s, brick << 6 | a << 3, low);
-            for (int k = 0; k < 3; k++) high[k] = low[k] + 256, p[k] = low[k] + 128;
-            double change = svo_winding_change(s->winding, low, high) + SVO_WINDING_ERROR;
-            bool inside = change < 0.5 && ask(s->winding, p, &margin, s->counts);
-            if (change < 0.5 && margin > change) {
-                if (inside) s->inside[brick] |= octant;
-                s->known[brick] |= octant;
-                continue;
-            }
-        }
-        ask_voxels(s, brick, octant);
-    }
     if (!is_touched(s, brick)) s->mixed[brick >> 6] |= (uint64_t)1 << (brick & 63);
 }
 
@@ -315,8 +297,8 @@ static void decide(svo_solid *s, uint32_t region, uint32_t size)
             }
             continue;
         }
-        if (is_touched(s, region)) ask_octants(s, region, ~walls(s, region) & ~s->known[region]);
-        else if (s->side0[region] == UNKNOWN) ask_octants(s, region, ~s->known[region]);
+        if (is_touched(s, region)) ask_voxels(s, region, ~walls(s, region) & ~s->known[region]);
+        else if (s->side0[region] == UNKNOWN) ask_voxels(s, region, ~s->known[region]);
     }
 }
 

@@ -5,13 +5,9 @@
 
 __extension__ typedef __int128 wide;
 
-static const double accept = 2.3; /* distance over radius from which a node is one term */
-
 /* --- closed parts: crossings of a ray ----------------------------------------------------------------------------- */
 
-/* On which side of the edge a -> b, seen along z, the point lies. The point is moved by (e, e^2) for an e that is smaller than everything, so that
- * it lies on no edge; 0 only where the edge is a point. The other direction gives the negative. */
-static int side_of(const int32_t a[3], const int32_t b[3], const int32_t p[3])
+int svoi_side_of(const int32_t a[3], const int32_t b[3], const int32_t p[3])
 {
     int64_t dx = (int64_t)b[0] - a[0], dy = (int64_t)b[1] - a[1];
     int64_t e = dx * ((int64_t)p[1] - a[1]) - dy * ((int64_t)p[0] - a[0]);
@@ -23,8 +19,8 @@ static int side_of(const int32_t a[3], const int32_t b[3], const int32_t p[3])
 /* 1 or -1 when the ray from p along +z leaves or enters through the triangle, else 0. */
 static int crossing(const int32_t (*q)[3], const int32_t p[3])
 {
-    int side = side_of(q[0], q[1], p);
-    if (side == 0 || side_of(q[1], q[2], p) != side || side_of(q[2], q[0], p) != side) return 0;
+    int side = svoi_side_of(q[0], q[1], p);
+    if (side == 0 || svoi_side_of(q[1], q[2], p) != side || svoi_side_of(q[2], q[0], p) != side) return 0;
     int64_t a[3], b[3], d[3];
     for (int k = 0; k < 3; k++) {
         a[k] = (int64_t)q[1][k] - q[0][k];
@@ -101,10 +97,16 @@ static double curtain_winding(const svo_winding *w, const int32_t p[3])
         double la = sqrt(aa), lb = sqrt(bb);
         /* the triangle b, a, infinity; where the point is in the curtain's plane the side decides that the ray's rule has it on */
         double up = (double)(ax * by - ay * bx), across = la * lb + dot_ab - a[2] * lb - b[2] * la;
-        if (bx * ay == by * ax) up = side_of(e->a, e->b, p) > 0 ? 0.0 : -0.0;
+        if (bx * ay == by * ax) up = svoi_side_of(e->a, e->b, p) > 0 ? 0.0 : -0.0;
         sum += e->times * atan2(up, across);
     }
     return (double)crossings(w, SVOI_OPEN, p, &number) - 2 * sum / SVOI_FOUR_PI;
+}
+
+double svoi_open_crossings(const svo_winding *w, const int32_t p[3])
+{
+    uint64_t number;
+    return (double)crossings(w, SVOI_OPEN, p, &number);
 }
 
 static double open_winding(const svo_winding *w, const int32_t p[3])
@@ -120,7 +122,7 @@ static double open_winding(const svo_winding *w, const int32_t p[3])
         svoi_tree_node n = stack[--top];
         const svoi_moment *m = svoi_at(&w->moments, svoi_node_number(t, n));
         double d[3] = {m->centre[0] - p[0], m->centre[1] - p[1], m->centre[2] - p[2]};
-        double r2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], reach = accept * (double)m->radius;
+        double r2 = d[0] * d[0] + d[1] * d[1] + d[2] * d[2], reach = SVOI_ACCEPT * (double)m->radius;
         if (r2 > reach * reach) {
             double inverse = 1 / r2, r3 = inverse / sqrt(r2);
             double quadratic = (double)m->symmetric[0] * d[0] * d[0] + (double)m->symmetric[1] * d[1] * d[1] + (double)m->symmetric[2] * d[2] * d[2] +
@@ -140,11 +142,11 @@ static double open_winding(const svo_winding *w, const int32_t p[3])
     return sum;
 }
 
-bool svo_winding_inside(const svo_winding *w, const int32_t p[3], double *margin)
+bool svoi_winding_verdict(const svo_winding *w, const int32_t p[3], double open, double *margin)
 {
     uint64_t number;
     int64_t oriented = crossings(w, SVOI_ORIENTED, p, &number);
-    double open = open_winding(w, p), total = (double)oriented + open;
+    const double total = (double)oriented + open;
     bool inside;
     if (oriented < 0) { /* inside where the total is beyond 1/2 either way */
         inside = fabs(total) > 0.5;
@@ -160,3 +162,5 @@ bool svo_winding_inside(const svo_winding *w, const int32_t p[3], double *margin
     }
     return inside;
 }
+
+bool svo_winding_inside(const svo_winding *w, const int32_t p[3], double *margin) { return svoi_winding_verdict(w, p, open_winding(w, p), margin); }

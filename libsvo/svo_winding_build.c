@@ -23,10 +23,12 @@ static bool snap(const svo_grid *grid, const svo_vec3 v[3], uint64_t number, svo
     double z = 0; /* 0 * x is NaN for infinities and NaNs */
     for (int k = 0; k < 3; k++) z += v[k].x * 0 + v[k].y * 0 + v[k].z * 0;
     if (!(z == 0)) return false;
-    for (int k = 0; k < 3; k++) svo_grid_snap(grid, v[k], out->q[k]);
+    int32_t q[3][3];
+    for (int k = 0; k < 3; k++) svo_grid_snap(grid, v[k], q[k]);
+    svoi_edge_sum((const int32_t(*)[3])q, sum);
+    memcpy(out->q, q, sizeof q);
     out->number = (uint32_t)number;
     out->turned = 0;
-    svoi_edge_sum((const int32_t(*)[3])out->q, sum);
     return true;
 }
 

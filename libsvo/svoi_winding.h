@@ -34,6 +34,15 @@ void svoi_boundary_order(const uint32_t *lattice_bits, svoi_order *out);
 void svoi_edge_sum(const int32_t q[3][3], uint64_t sum[2]);
 
 #define SVOI_FOUR_PI 12.566370614359172
+#define SVOI_ACCEPT 2.3 /* distance over radius from which a node is one term */
+
+/* On which side of the edge a -> b, seen along z, the point lies. The point is moved by (e, e^2) for an e that is smaller than everything, so that
+ * it lies on no edge; 0 only where the edge is a point. The other direction gives the negative. */
+int svoi_side_of(const int32_t a[3], const int32_t b[3], const int32_t p[3]);
+/* Signed sum of crossings of the open parts by the ray along +z. */
+double svoi_open_crossings(const svo_winding *w, const int32_t p[3]);
+/* svo_winding_inside, from the winding number of the open parts. */
+bool svoi_winding_verdict(const svo_winding *w, const int32_t p[3], double open, double *margin);
 
 /* What a node of the tree of open triangles is from afar: area-weighted centre, area vector, and first moments of it. */
 typedef struct svoi_moment {
