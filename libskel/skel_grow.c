@@ -5,13 +5,13 @@
 #include <string.h>
 
 #include "skeli_curve.h"
+#include "svo_morton.h"
 #include "svo_task.h"
 
-enum { MOST_TRIES = 256, MOST_LIMBS = 128, MOST_POINTS = 64, SHRINKS = 12 };
+enum { MOST_TRIES = 256, MOST_LIMBS = 128, MOST_POINTS = 64, SHRINKS = 12, BLOCK = 64 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define COVERS 0.35    /* of a ball's radius: the surface that is so near to it is its */
 #define NEAR_OMEGA 0.5 /* and what is so near in omega */
-#define MOST_PAIRS 4e9   /* of vertices and balls: some seconds; omega is so small then that the contraction merges nothing that is missed */
 #define BENT 1.25      /* way along a limb by the straight way to its tip */
 #define AT_TIP 0.3     /* the end's ball by its distance to the tip */
 #define LEAST 1.5      /* omega: ways that are shorter are no limb's */
@@ -26,6 +26,8 @@ typedef struct growing {
     double omega;
     ball *balls;
     uint64_t ball_count, ball_room;
+    uint32_t *order; /* vertices, those that lie together near each other */
+    uint32_t *near;  /* of each worker: numbers of balls */
     double *gap;      /* of each vertex to the balls */
     uint32_t *ball_of;
     double *way;      /* along the surface to what is covered; INFINITY: none */
@@ -47,24 +49,73 @@ static double gap_to(const growing *g, const ball *b, uint32_t v)
     return sqrt(x * x + y * y + z * z) - b->radius;
 }
 
+/* Vertices that lie together have the same balls near them: those that could be nearest to some point of a block's bounding sphere are looked for once. */
+static uint32_t near_block(const growing *g, const uint32_t *block, uint32_t count, uint32_t *near)
+{
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, middle[3], reach = 0, best = INFINITY;
+    for (uint32_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) {
+            const double x = g->mesh->position[3 * (uint64_t)block[i] + (uint64_t)k];
+            low[k] = fmin(low[k], x), high[k] = fmax(high[k], x);
+        }
+    for (int k = 0; k < 3; k++) middle[k] = (low[k] + high[k]) / 2, reach += (high[k] - middle[k]) * (high[k] - middle[k]);
+    reach = sqrt(reach);
+    for (uint32_t k = 0; k < g->ball_count; k++) best = fmin(best, skeli_apart(middle, g->balls[k].at) - g->balls[k].radius);
+    const double most = best + 2 * reach + 1e-6 * (reach + fabs(best)) + 1; /* of the gap at the middle; a lattice step of slack for rounding */
+    uint32_t found = 0;
+    for (uint32_t k = 0; k < g->ball_count; k++)
+        if (skeli_apart(middle, g->balls[k].at) - g->balls[k].radius <= most) near[found++] = k;
+    return found;
+}
+
 static svo_result look(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
-    (void)worker;
-    (void)err;
     growing *g = user;
-    for (uint64_t v = begin; v < end; v++) {
-        const int32_t *q = g->mesh->position + 3 * v;
-        double best = INFINITY;
-        for (uint32_t k = 0; k < g->ball_count; k++) {
-            const ball *b = &g->balls[k];
-            const double x = q[0] - b->at[0], y = q[1] - b->at[1], z = q[2] - b->at[2], d2 = x * x + y * y + z * z, most = best + b->radius;
-            if (most <= 0 || d2 >= most * most) continue;
-            best = sqrt(d2) - b->radius;
-            g->ball_of[v] = k;
+    uint32_t *near = g->near + worker * g->ball_count;
+    (void)err;
+    for (uint64_t block = begin; block < end; block++) {
+        const uint64_t first = block * BLOCK, left = g->mesh->vertex_count - first;
+        const uint32_t *vertices = g->order + first, count = left < BLOCK ? (uint32_t)left : BLOCK, balls = near_block(g, vertices, count, near);
+        for (uint32_t i = 0; i < count; i++) {
+            const uint32_t v = vertices[i];
+            const int32_t *q = g->mesh->position + 3 * (uint64_t)v;
+            double best = INFINITY;
+            for (uint32_t k = 0; k < balls; k++) {
+                const ball *b = &g->balls[near[k]];
+                const double x = q[0] - b->at[0], y = q[1] - b->at[1], z = q[2] - b->at[2], d2 = x * x + y * y + z * z, most = best + b->radius;
+                if (most <= 0 || d2 >= most * most) continue;
+                best = sqrt(d2) - b->radius;
+                g->ball_of[v] = near[k];
+            }
+            g->gap[v] = best;
         }
-        g->gap[v] = best;
     }
     return SVO_OK;
+}
+
+/* The gap of each vertex to the balls, and the ball it is to. */
+static svo_result measure(skeli_pool *pool, growing *g, uint32_t threads, svo_error *err)
+{
+    const uint64_t n = g->mesh->vertex_count;
+    if (threads == 0) threads = svo_processor_count();
+    int32_t low[3] = {INT32_MAX, INT32_MAX, INT32_MAX};
+    uint64_t *code = skeli_take(pool, n, sizeof *code);
+    uint32_t *scratch = skeli_take(pool, n, sizeof *scratch);
+    g->order = skeli_take(pool, n, sizeof *g->order);
+    g->near = skeli_take(pool, threads * g->ball_count, sizeof *g->near);
+    if (code == NULL || scratch == NULL || g->order == NULL || g->near == NULL) return skeli_no_memory(err);
+    for (uint64_t i = 0; i < 3 * n; i++)
+        if (g->mesh->position[i] < low[i % 3]) low[i % 3] = g->mesh->position[i];
+    for (uint64_t v = 0; v < n; v++) {
+        uint32_t cell[3]; /* some 2^13 across the mesh */
+        for (uint64_t k = 0; k < 3; k++) cell[k] = ((uint32_t)g->mesh->position[3 * v + k] - (uint32_t)low[k]) >> 11;
+        code[v] = svo_morton_encode(cell[0], cell[1], cell[2]);
+        g->order[v] = (uint32_t)v;
+    }
+    skeli_sort_by64(g->order, scratch, n, code, 63);
+    skeli_give(pool, code);
+    skeli_give(pool, scratch);
+    return svo_parallel_for(threads, (n + BLOCK - 1) / BLOCK, 16, look, g, err);
 }
 
 /* --- the way along the surface ------------------------------------------------------------------------------------------- */
@@ -316,7 +367,7 @@ static svo_result begin(skeli_pool *pool, growing *g, svo_error *err)
 
 static void end(skeli_pool *pool, growing *g)
 {
-    void *const all[] = {g->balls, g->gap, g->way, g->ball_of, g->from, g->open, g->tried, g->edge_start, g->edge, g->heap};
+    void *const all[] = {g->balls, g->gap, g->way, g->ball_of, g->from, g->open, g->tried, g->edge_start, g->edge, g->heap, g->order, g->near};
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) skeli_give(pool, all[i]);
 }
 
@@ -328,11 +379,7 @@ svo_result skeli_grow(skeli_pool *pool, const skeli_soup *mesh, const skeli_surf
     if (c->bones == 0) return SVO_OK;
     SVO_TRY(begin(pool, &g, err));
     for (uint64_t b = 0; b < c->bones; b++) add_balls(&g, c->bone[2 * b], c->bone[2 * b + 1]);
-    if ((double)mesh->vertex_count * (double)g.ball_count > MOST_PAIRS) {
-        end(pool, &g);
-        return SVO_OK;
-    }
-    SVO_TRY(svo_parallel_for(threads, mesh->vertex_count, 1024, look, &g, err));
+    SVO_TRY(measure(pool, &g, threads, err));
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         const bool covered = covers(&g, v);
         g.way[v] = covered ? 0 : INFINITY;
