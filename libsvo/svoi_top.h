@@ -136,8 +136,9 @@ static inline bool svoi_records_descend(const svo_view *v, uint32_t x, uint32_t 
         if (n->size[stored] == 0) return false;
         if (count) attribute += (v->lod ? 1 : 0) + svoi_record_size(n, svoi_turn_mask(turn, (1u << octant) - 1));
         child = n->child[stored];
-        turn = svoi_turn_after(child & 63, turn);
         out->mask = n->mask[stored];
+        if (child == SVOI_RECORD_FULL) break; /* it has no turn */
+        turn = svoi_turn_after(child & 63, turn);
     }
     out->attribute = attribute;
     out->at = child >> 6;

@@ -128,8 +128,8 @@ static void report_errors(run *r, const svo_view *v)
 
 static void put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
 {
-    json_t *o = json_object();
     if (values == 0) return;
+    json_t *o = json_object();
     cli_put_text(o, "what", what);
     cli_put_text(o, "channel", channel);
     cli_put_u64(o, "values", values);
