@@ -72,9 +72,9 @@ def trip(t, model, rng, depth):
     what += " " + " ".join(map(str, options))
     if not t.demand(what, "svo-dump", svo, "--validate"):
         return
-    other = "small" if "fast" in options else "fast"
+    form, other = ("small", "fast") if "small" in options else ("fast", "small")  # (points may have lost the option: fast)
     if t.demand(what, "svo-merge", svo, "-o", t.folder / "b.svo", "--disk", other, "-f", "-q") and \
-       t.demand(what, "svo-merge", t.folder / "b.svo", "-o", t.folder / "c.svo", "--disk", "small" if other == "fast" else "fast", "-f", "-q"):
+       t.demand(what, "svo-merge", t.folder / "b.svo", "-o", t.folder / "c.svo", "--disk", form, "-f", "-q"):
         t.demand(what, "svo-compare", svo, t.folder / "c.svo", "-q")
         if (t.folder / "c.svo").stat().st_size != svo.stat().st_size:
             t.fault("%s: the %s form and back has another size" % (what, other))
