@@ -85,7 +85,7 @@ static svo_result curve(skeli_pool *pool, const skeli_soup *soup, skeli_model *m
     m->surface = needed ? surface : NULL;
     SVO_TRY(skeli_extract(pool, &m->mesh, state, m->surface, o, out, m->joint_of, err));
     skeli_phase(r, "extract", &since);
-    SVO_TRY(skeli_measure(pool, &m->mesh, m->joint_of, out, err));
+    SVO_TRY(skeli_measure(pool, &m->mesh, m->joint_of, NULL, out, err));
     if (o->refine_count > 0) {
         SVO_TRY(skeli_refine(m, o, err));
         skeli_phase(r, "refine", &since);

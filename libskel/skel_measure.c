@@ -112,7 +112,7 @@ static double curve_distance(const skel_skeleton *s, const neighbours *n, uint32
     return best;
 }
 
-svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_t *joint_of, skel_skeleton *out, svo_error *err)
+svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_t *joint_of, const double *known, skel_skeleton *out, svo_error *err)
 {
     uint32_t n = mesh->vertex_count;
     skel_report *r = &out->report;
@@ -160,6 +160,8 @@ svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_
             }
         out->joints[j].radius = count > 0 ? sum / count : 0;
     }
+    for (uint32_t j = 0; known != NULL && j < out->joint_count; j++)
+        if (known[j] >= 0) out->joints[j].radius = known[j];
     double total = 0, sum = 0, error = 0;
     for (uint32_t v = 0; v < n; v++) {
         double w = area > 0 ? ring[v] : 1;

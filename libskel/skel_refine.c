@@ -321,7 +321,7 @@ static void carry(const skel_skeleton *s, const uint8_t *selected, const skeli_j
     }
 }
 
-/* Joints and bones of the skeleton become those of the join. radius: of joints that are as they were, else negative. */
+/* Joints and bones of the skeleton become those of the join. radius: of joints that stay, else negative. Where new bones begin at a joint it has less surface than before, of one side; its radius is that of all of it. */
 static svo_result replace_curve(part *p, const skeli_joined *joined, double *radius, svo_error *err)
 {
     skel_skeleton *s = p->m->s;
@@ -339,7 +339,7 @@ static svo_result replace_curve(part *p, const skeli_joined *joined, double *rad
         radius[j] = -1;
     }
     for (uint32_t j = 0; j < s->joint_count; j++)
-        if (joined->node[j] != SVO_NONE && p->owner[j] != j) radius[joined->node[j]] = s->joints[j].radius;
+        if (joined->node[j] != SVO_NONE) radius[joined->node[j]] = s->joints[j].radius;
     for (uint32_t b = 0; b < joined->bones; b++) bones[b] = (skel_bone){joined->bone[2 * (uint64_t)b], joined->bone[2 * (uint64_t)b + 1]};
     svo_free(a, s->joints, s->joint_count, sizeof *s->joints);
     svo_free(a, s->bones, s->bone_count, sizeof *s->bones);
@@ -361,10 +361,7 @@ static svo_result measure(part *p, const double *radius, svo_error *err)
     r->leftover_triangles += p->curve.report.leftover_triangles;
     r->converged = r->converged && p->curve.report.converged;
     for (uint32_t j = 0; j < s->joint_count; j++) s->joints[j].radius = 0;
-    SVO_TRY(skeli_measure(&p->pool, &p->m->mesh, p->m->joint_of, s, err));
-    for (uint32_t j = 0; j < s->joint_count; j++) /* their surface is the same, with more vertices next to the part */
-        if (radius[j] >= 0) s->joints[j].radius = radius[j];
-    return SVO_OK;
+    return skeli_measure(&p->pool, &p->m->mesh, p->m->joint_of, radius, s, err); /* the surface of joints that are kept is the same, with more vertices next to the part */
 }
 
 /* Reconstruction error in the mean over vertices of the mesh in `which`, by the area around them, percent of the diagonal. */

@@ -126,8 +126,8 @@ svo_result skeli_extract(skeli_pool *pool, const skeli_soup *mesh, const skeli_s
                          skel_skeleton *out, uint32_t *joint_of, svo_error *err);
 /* Distance of p from the segment a b, and where its foot lies (0 at a, 1 at b). */
 double skeli_segment_distance(const double *p, const double *a, const double *b, double *foot);
-/* Distances of the surface to the curve, radii of the joints. */
-svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_t *joint_of, skel_skeleton *out, svo_error *err);
+/* Distances of the surface to the curve, radii of the joints. known (NULL: none): radii, in the skeleton's units, that joints keep, negative for those that are measured. */
+svo_result skeli_measure(skeli_pool *pool, const skeli_soup *mesh, const uint32_t *joint_of, const double *known, skel_skeleton *out, svo_error *err);
 /* Components (numbered by first joint), ends, branches, loops into report and joints. parent: scratch of joint_count. */
 void skeli_topology(skel_skeleton *s, uint32_t *parent);
 
