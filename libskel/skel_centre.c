@@ -367,36 +367,33 @@ static svo_result fold_back(skeli_pool *pool, const skeli_soup *mesh, skeli_curv
     return SVO_OK;
 }
 
-svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
+/* Joints into the middle, at most `rounds` of relaxing; ends to the tips; then branches that are no limbs go. */
+static svo_result settle(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, int rounds, skeli_limb limbs, skeli_curve *c, svo_error *err)
 {
     skeli_fans fans;
+    SVO_TRY(centre_chains(pool, surface, c, err));
+    SVO_TRY(skeli_split_branches(pool, surface, c, err));
+    SVO_TRY(skeli_relax(pool, surface, rounds, c, err));
+    SVO_TRY(skeli_fans_make(pool, c, &fans, err));
+    reach_tips(surface, &fans, c);
+    skeli_fans_free(pool, &fans);
+    return skeli_drop_stubs(pool, mesh, surface, omega, limbs, c, err);
+}
+
+svo_result skeli_centre(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
+{
     SVO_TRY(fold_back(pool, mesh, c, err));
     SVO_TRY(centre_branches(pool, surface, c, err));
     SVO_TRY(divide(pool, mesh, surface, omega, c, err));
     SVO_TRY(thin_chains(pool, mesh, surface, omega, true, c, err));
-    SVO_TRY(centre_chains(pool, surface, c, err));
-    SVO_TRY(skeli_split_branches(pool, surface, c, err));
-    SVO_TRY(skeli_relax(pool, surface, RELAX_FIRST, c, err));
-    SVO_TRY(skeli_fans_make(pool, c, &fans, err));
-    reach_tips(surface, &fans, c);
-    skeli_fans_free(pool, &fans);
-    return skeli_drop_stubs(pool, mesh, surface, omega, SKELI_LIMB_FOUND, c, err);
+    return settle(pool, mesh, surface, omega, RELAX_FIRST, SKELI_LIMB_FOUND, c, err);
 }
 
 svo_result skeli_finish(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err)
 {
-    skeli_fans fans;
     bool grown;
     SVO_TRY(skeli_grow(pool, mesh, surface, omega, threads, c, &grown, err));
-    if (grown) {
-        SVO_TRY(centre_chains(pool, surface, c, err));
-        SVO_TRY(skeli_split_branches(pool, surface, c, err));
-        SVO_TRY(skeli_relax(pool, surface, RELAX_GROWN, c, err));
-        SVO_TRY(skeli_fans_make(pool, c, &fans, err));
-        reach_tips(surface, &fans, c);
-        skeli_fans_free(pool, &fans);
-        SVO_TRY(skeli_drop_stubs(pool, mesh, surface, omega, SKELI_LIMB_ANY, c, err));
-    }
+    if (grown) SVO_TRY(settle(pool, mesh, surface, omega, RELAX_GROWN, SKELI_LIMB_ANY, c, err));
     SVO_TRY(divide(pool, mesh, surface, omega, c, err)); /* the ends are farther out now, and chains may have grown together */
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     push_joints_inside(surface, c);

@@ -67,16 +67,12 @@ static inline uint64_t svoi_node_number(const svoi_bounds_tree *t, svoi_tree_nod
 static inline const svoi_box *svoi_node_box(const svoi_bounds_tree *t, svoi_tree_node n) { return svoi_at(&t->box, svoi_node_number(t, n)); }
 static inline void svoi_leaf_items(const svoi_bounds_tree *t, svoi_tree_node leaf, uint64_t *begin, uint64_t *end)
 {
-    *begin = (uint64_t)leaf.at * SVOI_TREE_LEAF;
-    *end = *begin + SVOI_TREE_LEAF < t->count ? *begin + SVOI_TREE_LEAF : t->count;
+    svoi_leaf_range(t->count, leaf, begin, end);
 }
 /* Children of an inner node; returns 1 or 2. */
 static inline uint32_t svoi_node_children(const svoi_bounds_tree *t, svoi_tree_node n, svoi_tree_node out[2])
 {
-    out[0].level = out[1].level = n.level - 1;
-    out[0].at = 2 * n.at;
-    out[1].at = 2 * n.at + 1;
-    return (uint64_t)out[1].at < t->size[n.level - 1] ? 2 : 1;
+    return svoi_two_below(t->size, n, out);
 }
 
 struct svo_winding {

@@ -113,6 +113,8 @@ json_t *cli_section(cli *c, const char *name);
 void cli_put_u64(json_t *object, const char *key, uint64_t value);
 void cli_put_f64(json_t *object, const char *key, double value);
 void cli_put_text(json_t *object, const char *key, const char *value);
+/* An entry of a list `left_out`: what of a channel is not in a file, how many values, and the bytes they would take. None for 0 values. */
+void cli_put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes);
 /* A JSON string from bytes that may not be UTF-8. New reference. */
 json_t *cli_text(const char *value);
 

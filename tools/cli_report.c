@@ -43,6 +43,17 @@ void cli_put_text(json_t *object, const char *key, const char *value)
     json_object_set_new(object, key, value != NULL ? cli_text(value) : json_null());
 }
 
+void cli_put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
+{
+    if (values == 0) return;
+    json_t *o = json_object();
+    cli_put_text(o, "what", what);
+    cli_put_text(o, "channel", channel);
+    cli_put_u64(o, "values", values);
+    cli_put_u64(o, "bytes_saved", bytes);
+    json_array_append_new(list, o);
+}
+
 json_t *cli_section(cli *c, const char *name)
 {
     json_t *section = json_object_get(c->json, name);

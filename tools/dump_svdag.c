@@ -209,16 +209,6 @@ static void put_costs(const dump_job *j, const svo_view *v)
     json_object_set_new(j->json, "largest_costs", costs);
 }
 
-static void put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
-{
-    json_t *o = json_object();
-    cli_put_text(o, "what", what);
-    cli_put_text(o, "channel", channel);
-    cli_put_u64(o, "values", values);
-    cli_put_u64(o, "bytes_saved", bytes);
-    json_array_append_new(list, o);
-}
-
 /* What is not in the file, and the bytes of its plain values. (Table entries that no block names: the report of svo-compress.) */
 static void put_left_out(json_t *o, const svo_view *v)
 {
@@ -229,10 +219,10 @@ static void put_left_out(json_t *o, const svo_view *v)
         const svo_view_channel *c = &v->channels[i];
         const uint32_t stride = svo_channel_stride(c->channel.kind);
         const uint64_t inner = nodes > v->attribute_count + c->correction_count ? nodes - v->attribute_count - c->correction_count : 0;
-        if (c->encoding == SVO_ENCODING_CONSTANT) put_saving(list, "channel that is the same everywhere", c->channel.name, nodes, nodes * stride);
-        else if (c->repeats != NULL) put_saving(list, "superblocks of 1024 values that repeat the value before them", c->channel.name, svo_palette_superblocks(v->attribute_count) - c->superblock_count,
+        if (c->encoding == SVO_ENCODING_CONSTANT) cli_put_saving(list, "channel that is the same everywhere", c->channel.name, nodes, nodes * stride);
+        else if (c->repeats != NULL) cli_put_saving(list, "superblocks of 1024 values that repeat the value before them", c->channel.name, svo_palette_superblocks(v->attribute_count) - c->superblock_count,
                                                (svo_palette_superblocks(v->attribute_count) - c->superblock_count) * (SVO_PALETTE_ENTRY + 2));
-        if (c->encoding != SVO_ENCODING_CONSTANT && inner != 0) put_saving(list, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->channel.name, inner, inner * stride);
+        if (c->encoding != SVO_ENCODING_CONSTANT) cli_put_saving(list, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->channel.name, inner, inner * stride);
     }
     json_object_set_new(o, "left_out", list);
 }

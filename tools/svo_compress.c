@@ -126,17 +126,6 @@ static void report_errors(run *r, const svo_view *v)
     }
 }
 
-static void put_saving(json_t *list, const char *what, const char *channel, uint64_t values, uint64_t bytes)
-{
-    if (values == 0) return;
-    json_t *o = json_object();
-    cli_put_text(o, "what", what);
-    cli_put_text(o, "channel", channel);
-    cli_put_u64(o, "values", values);
-    cli_put_u64(o, "bytes_saved", bytes);
-    json_array_append_new(list, o);
-}
-
 /* What is not in the file: the plain values it would have taken, of table entries the bytes as they would have been stored. */
 static json_t *left_out(const run *r, const svo_view *v, uint64_t nodes)
 {
@@ -145,13 +134,13 @@ static json_t *left_out(const run *r, const svo_view *v, uint64_t nodes)
         const svo_dag_channel_report *c = &r->report.channels[i];
         const uint32_t stride = svo_channel_stride(v->channels[i].channel.kind);
         if (c->left_out) {
-            put_saving(all, "channel that is the same everywhere", c->name, v->attribute_count, v->attribute_count * stride);
+            cli_put_saving(all, "channel that is the same everywhere", c->name, v->attribute_count, v->attribute_count * stride);
             continue;
         }
         const uint64_t stored = v->attribute_count + c->corrections, inner = nodes > stored ? nodes - stored : 0;
-        put_saving(all, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->name, inner, inner * stride);
-        put_saving(all, "table entries that nothing names", c->name, c->unused_entries, c->unused_bytes);
-        put_saving(all, "superblocks of 1024 values that repeat the value before them", c->name, c->repeated_superblocks, c->repeated_bytes);
+        cli_put_saving(all, v->lod ? "attributes of inner nodes that are averages or in full leaves" : "attributes of inner nodes", c->name, inner, inner * stride);
+        cli_put_saving(all, "table entries that nothing names", c->name, c->unused_entries, c->unused_bytes);
+        cli_put_saving(all, "superblocks of 1024 values that repeat the value before them", c->name, c->repeated_superblocks, c->repeated_bytes);
     }
     return all;
 }
