@@ -47,6 +47,9 @@ void svo_resampled_free(svo_resampled *r);
 typedef struct svo_unpose_options {
     svo_select_options select; /* allocator and threads are used for all */
     svo_resample_method method;
+    bool reflections;   /* metallic and roughness are wanted */
+    double reflectance; /* of assets that have neither, 0..1 */
+    bool labels;        /* bones are wanted */
 } svo_unpose_options;
 
 typedef struct svo_unpose_report {
@@ -57,7 +60,8 @@ typedef struct svo_unpose_report {
 } svo_unpose_report;
 
 /* A scene for one picture: all instances without a pose as they are (none with select.everything), and one more asset, an octree of what the picture needs of all others, in
- * scene coordinates. Its channels are color, normal and emissive, as far as an asset has them. `scene` is borrowed. */
+ * scene coordinates. Its channels are normal, and color, emissive, coverage, metallic, roughness and bone (ID32) as far as an asset has them and they are wanted. Coverage is that
+ * of cells, so many of which lie behind each other that together they cover about what the voxel does. `scene` is borrowed. */
 typedef struct svo_unposed svo_unposed;
 svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *options, svo_unposed **out, svo_unpose_report *report, svo_error *err);
 const svo_scene *svo_unposed_scene(const svo_unposed *u);

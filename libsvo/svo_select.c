@@ -11,6 +11,24 @@ enum { BY_PAGES = 4096 };
 
 svo_result svoi_select_no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the selected voxels"); }
 
+const uint8_t svoi_covers = 255;
+
+uint32_t *svoi_find_channels(const svo_scene *scene, const char *name, svo_channel_kind kind, const uint8_t *plain, const svo_allocator *a, bool *any)
+{
+    uint32_t *of = svo_alloc(a, scene->asset_count, sizeof *of);
+    *any = false;
+    for (uint32_t i = 0; i < scene->asset_count && of != NULL; i++) {
+        const svo_view *v = scene->assets[i];
+        const uint32_t c = svo_view_find_channel(v, name);
+        of[i] = SVO_MAX_CHANNELS;
+        if (c >= v->channel_count || v->channels[c].channel.kind != kind) continue;
+        if (plain != NULL && v->channels[c].encoding == SVO_ENCODING_CONSTANT && memcmp(v->channels[c].channel.value, plain, svo_channel_stride(kind)) == 0) continue;
+        of[i] = c;
+        *any = true;
+    }
+    return of;
+}
+
 /* ---- jobs ------------------------------------------------------------------------------------------------------------ */
 
 static svo_result list_jobs(svoi_selecting *s, svo_buffer *jobs, svo_select_report *r, svo_error *err)
@@ -143,14 +161,12 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     s.origin[0] = o->eye.position.x, s.origin[1] = o->eye.position.y, s.origin[2] = o->eye.position.z;
     memcpy(out->origin, s.origin, sizeof out->origin);
     svo_result result = SVO_OK;
-    s.normal_channel = svo_alloc(o->allocator, scene->asset_count, sizeof *s.normal_channel);
+    bool any;
+    s.normal_channel = svoi_find_channels(scene, "normal", SVO_KIND_NORMAL_OCT32, NULL, o->allocator, &any);
+    s.coverage_channel = svoi_find_channels(scene, "coverage", SVO_KIND_UNORM8, &svoi_covers, o->allocator, &any);
     s.outputs = svo_calloc(o->allocator, threads, sizeof *s.outputs);
-    if (s.outputs == NULL || (s.normal_channel == NULL && scene->asset_count != 0)) result = svoi_select_no_memory(err);
+    if (s.outputs == NULL || ((s.normal_channel == NULL || s.coverage_channel == NULL) && scene->asset_count != 0)) result = svoi_select_no_memory(err);
     for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) svo_buffer_init(&s.outputs[t].boxes, o->allocator);
-    for (uint32_t a = 0; a < scene->asset_count && result == SVO_OK; a++) {
-        uint32_t c = svo_view_find_channel(scene->assets[a], "normal");
-        s.normal_channel[a] = c < scene->assets[a]->channel_count && scene->assets[a]->channels[c].channel.kind == SVO_KIND_NORMAL_OCT32 ? c : SVO_MAX_CHANNELS;
-    }
     if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
     if (result == SVO_OK) result = make_bones(&s, err);
     if (result == SVO_OK) result = svoi_find_copies(scene, o->allocator, &s.copy, err);
@@ -172,6 +188,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     svo_free(o->allocator, s.copy, scene->instance_count, 1);
     svo_free(o->allocator, s.bones, scene->asset_count, sizeof *s.bones);
     svo_free(o->allocator, s.normal_channel, scene->asset_count, sizeof *s.normal_channel);
+    svo_free(o->allocator, s.coverage_channel, scene->asset_count, sizeof *s.coverage_channel);
     svo_buffer_free(&jobs);
     svoi_depth_free(&s.depth);
     out->report.seconds = svo_seconds() - began;

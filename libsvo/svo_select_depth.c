@@ -56,13 +56,16 @@ bool svoi_outside(const svoi_look *l, const double low[3], const double high[3])
 
 /* ---- drawing --------------------------------------------------------------------------------------------------------- */
 
-void svoi_draw_box(const svoi_look *l, const float low[3], const float high[3], svoi_sample_fn hit, void *user)
+void svoi_draw_box(const svoi_look *l, const float low[3], const float high[3], svoi_sample_fn hit, void *user) { svoi_draw_box_rows(l, low, high, 0, l->height, hit, user); }
+
+void svoi_draw_box_rows(const svoi_look *l, const float low[3], const float high[3], uint32_t begin, uint32_t end, svoi_sample_fn hit, void *user)
 {
     double lo[3], hi[3];
     for (int k = 0; k < 3; k++) lo[k] = low[k], hi[k] = high[k];
     svoi_rect r = svoi_project(l, lo, hi);
     if (r.far <= 0) return;
     svoi_span s = svoi_samples(l, &r);
+    s.y0 = s.y0 > begin ? s.y0 : begin, s.y1 = s.y1 < end ? s.y1 : end;
     for (uint32_t y = s.y0; y < s.y1; y++)
         for (uint32_t x = s.x0; x < s.x1; x++) {
             double u = (x + 0.5 - 0.5 * l->width) / l->focal, v = (0.5 * l->height - y - 0.5) / l->focal, enter = 0, leave = INFINITY;
@@ -75,7 +78,7 @@ void svoi_draw_box(const svoi_look *l, const float low[3], const float high[3], 
                 double w = 1 / d, a = lo[k] * w, b = hi[k] * w;
                 enter = fmax(enter, fmin(a, b)), leave = fmin(leave, fmax(a, b));
             }
-            if (enter <= leave) hit(user, x, y, (float)enter);
+            if (enter <= leave) hit(user, x, y, (float)enter, (float)leave);
         }
 }
 
@@ -115,8 +118,9 @@ void svoi_depth_free(svoi_depth *d)
 }
 
 /* Depths are not negative, so their bits are in their order, and the least is the same whoever comes first. */
-void svoi_depth_add(void *depth, uint32_t x, uint32_t y, float at)
+void svoi_depth_add(void *depth, uint32_t x, uint32_t y, float at, float leave)
 {
+    (void)leave;
     svoi_depth *d = depth;
     uint32_t *to = &d->nearest[(uint64_t)y * d->width + x], bits, old = __atomic_load_n(to, __ATOMIC_RELAXED);
     memcpy(&bits, &at, 4);
@@ -160,136 +164,4 @@ bool svoi_depth_hides(const svoi_depth *d, const svoi_span *s, double near)
         for (uint32_t x = s->x0 >> l; x <= (s->x1 - 1) >> l; x++)
             if (!(near > d->level[l][(uint64_t)y * w + x])) return false;
     return true;
-}
-
-/* ---- the direct output ----------------------------------------------------------------------------------------------- */
-
-typedef struct drawing {
-    const svo_selection *selection;
-    svoi_look look;
-    uint64_t *nearest; /* depth's bits, then the number of the box */
-} drawing;
-
-typedef struct pen { drawing *d; uint32_t number; } pen;
-
-static void add_owner(void *user, uint32_t x, uint32_t y, float depth)
-{
-    const pen *p = user;
-    uint64_t *to = &p->d->nearest[(uint64_t)y * p->d->look.width + x], old = __atomic_load_n(to, __ATOMIC_RELAXED);
-    uint32_t bits;
-    memcpy(&bits, &depth, 4);
-    uint64_t mine = (uint64_t)bits << 32 | p->number;
-    while (mine < old && !__atomic_compare_exchange_n(to, &old, mine, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) continue;
-}
-
-static svo_result draw_boxes(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker, (void)err;
-    drawing *d = user;
-    for (uint64_t i = begin; i < end; i++) {
-        pen p = {d, (uint32_t)i};
-        svoi_draw_box(&d->look, d->selection->boxes[i].low, d->selection->boxes[i].high, add_owner, &p);
-    }
-    return SVO_OK;
-}
-
-svo_result svo_select_draw(const svo_selection *s, const svo_select_options *o, uint32_t *owner, float *depth, svo_error *err)
-{
-    uint64_t count = (uint64_t)o->width * o->height;
-    drawing d = {.selection = s, .look = svoi_look_make(&o->eye, o->width, o->height)};
-    d.nearest = svo_alloc(o->allocator, count, sizeof *d.nearest);
-    if (d.nearest == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u samples", o->width, o->height);
-    memset(d.nearest, 0xff, count * sizeof *d.nearest);
-    svo_result result = svo_parallel_for(o->threads, s->count, 0, draw_boxes, &d, err);
-    for (uint64_t i = 0; i < count && result == SVO_OK; i++) {
-        owner[i] = (uint32_t)d.nearest[i];
-        depth[i] = d.nearest[i] == UINT64_MAX ? INFINITY : of_bits((uint32_t)(d.nearest[i] >> 32));
-    }
-    svo_free(o->allocator, d.nearest, count, sizeof *d.nearest);
-    return result;
-}
-
-typedef struct shading {
-    const svo_scene *scene;
-    const svo_selection *selection;
-    const svo_render_options *o;
-    const uint32_t *owner;
-    uint32_t *channel[2];
-    uint8_t *pixels;
-    svo_vec3 light;
-} shading;
-
-static void add_sample(const shading *s, uint32_t number, float sum[4])
-{
-    const svo_selected *b = &s->selection->boxes[number];
-    uint32_t asset = s->scene->instance_asset[b->instance];
-    float rgb[2][3] = {{0.6f, 0.6f, 0.6f}, {0, 0, 0}}, n[3];
-    for (int c = 0; c < 2; c++) {
-        uint8_t value[SVO_MAX_STRIDE];
-        if (s->channel[c][asset] == SVO_MAX_CHANNELS) continue;
-        svo_view_attribute(s->scene->assets[asset], s->channel[c][asset], b->attribute, value);
-        for (int k = 0; k < 3; k++) rgb[c][k] = svo_srgb_to_linear(value[k]);
-    }
-    svo_oct32_decode(b->normal, n);
-    /* as in svo_render: two-sided, and a sky that is brighter than the ground */
-    svo_vec3 normal = {n[0], n[1], n[2]}, view = {b->low[0] + b->high[0], b->low[1] + b->high[1], b->low[2] + b->high[2]};
-    if (svo_dot(normal, svo_normalize(view)) > 0.25) normal = svo_scale(normal, -1);
-    float light = (float)(s->o->ambient * (0.75 + 0.25 * normal.y) + (1 - s->o->ambient) * fmax(0, svo_dot(normal, s->light)));
-    for (int k = 0; k < 3; k++) sum[k] += rgb[0][k] * light + rgb[1][k];
-    sum[3] += 1;
-}
-
-static svo_result shade_rows(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker, (void)err;
-    const shading *s = user;
-    const svo_render_options *o = s->o;
-    float total = (float)(o->samples * o->samples);
-    for (uint64_t y = begin; y < end; y++)
-        for (uint32_t x = 0; x < o->width; x++) {
-            float sum[4] = {0, 0, 0, 0};
-            for (uint32_t j = 0; j < o->samples; j++)
-                for (uint32_t i = 0; i < o->samples; i++) {
-                    uint32_t number = s->owner[(y * o->samples + j) * o->width * o->samples + (uint64_t)x * o->samples + i];
-                    if (number != UINT32_MAX) add_sample(s, number, sum);
-                }
-            uint8_t *out = s->pixels + 4 * (y * o->width + x);
-            double height = ((double)y + 0.5) / o->height;
-            for (int k = 0; k < 3; k++) {
-                float back = (float)(o->background_top[k] * (1 - height) + o->background_bottom[k] * height);
-                float c = o->transparent ? (sum[3] > 0 ? sum[k] / sum[3] : 0) : (sum[k] + (total - sum[3]) * back) / total;
-                out[k] = svo_linear_to_srgb(c);
-            }
-            out[3] = o->transparent ? (uint8_t)(255 * sum[3] / total + 0.5f) : 255;
-        }
-    return SVO_OK;
-}
-
-svo_result svo_select_render(const svo_scene *scene, const svo_selection *selection, const svo_render_options *o, uint8_t *pixels, uint64_t *covered, svo_error *err)
-{
-    static const char *const names[2] = {"color", "emissive"};
-    svo_select_options draw = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .threads = o->threads, .allocator = o->allocator};
-    uint64_t count = (uint64_t)draw.width * draw.height;
-    uint32_t *owner = svo_alloc(o->allocator, count, sizeof *owner);
-    float *depth = svo_alloc(o->allocator, count, sizeof *depth);
-    shading s = {.scene = scene, .selection = selection, .o = o, .owner = owner, .pixels = pixels, .light = svo_normalize(o->light)};
-    bool ok = owner != NULL && depth != NULL;
-    for (int c = 0; c < 2; c++) {
-        s.channel[c] = svo_alloc(o->allocator, scene->asset_count, sizeof *s.channel[c]);
-        ok = ok && (s.channel[c] != NULL || scene->asset_count == 0);
-        for (uint32_t a = 0; a < scene->asset_count && ok; a++) {
-            uint32_t n = svo_view_find_channel(scene->assets[a], names[c]);
-            s.channel[c][a] = n < scene->assets[a]->channel_count && scene->assets[a]->channels[n].channel.kind == SVO_KIND_COLOR_SRGB8 ? n : SVO_MAX_CHANNELS;
-        }
-    }
-    svo_result result = ok ? svo_select_draw(selection, &draw, owner, depth, err) : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture");
-    if (result == SVO_OK) result = svo_parallel_for(o->threads, o->height, 8, shade_rows, &s, err);
-    if (result == SVO_OK && covered != NULL) {
-        *covered = 0;
-        for (uint64_t i = 0; i < count; i++) *covered += owner[i] != UINT32_MAX;
-    }
-    svo_free(o->allocator, owner, count, sizeof *owner);
-    svo_free(o->allocator, depth, count, sizeof *depth);
-    for (int c = 0; c < 2; c++) svo_free(o->allocator, s.channel[c], scene->asset_count, sizeof *s.channel[c]);
-    return result;
 }

@@ -100,6 +100,16 @@ static const svo_bone_range resting = {SVO_NO_BONE, 255, 255, {0, 0}};
 
 static double edge_of(const svoi_posed *p, const svoi_visit *n) { return ldexp(1, (int)(p->view->depth - n->level)); }
 
+/* Is nothing behind the node to be seen through it? */
+static bool covers(const svoi_selecting *s, const svoi_posed *p, uint64_t attribute)
+{
+    const uint32_t channel = s->coverage_channel[s->scene->instance_asset[p->instance]];
+    uint8_t value[SVO_MAX_STRIDE];
+    if (channel == SVO_MAX_CHANNELS) return true;
+    svo_view_attribute(p->view, channel, attribute, value);
+    return value[0] == svoi_covers;
+}
+
 static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, const double low[3], const double high[3], svoi_output *out)
 {
     const uint64_t attribute = p->view->depth >= 2 ? svo_view_node_attribute(p->view, n->level, n->node) : n->node.attribute;
@@ -126,7 +136,7 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
     svo_oct32_encode(f, b.normal);
     out->report.selected++;
     out->report.finest += n->level == p->view->depth;
-    if (s->o->occlusion) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
+    if (s->o->occlusion && covers(s, p, attribute)) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
     return svo_buffer_append(&out->boxes, &b, sizeof b) != NULL;
 }
 

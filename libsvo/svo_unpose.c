@@ -4,6 +4,7 @@
 
 #include "svo_resample.h"
 #include "svo_task.h"
+#include "svoi_select.h"
 
 struct svo_unposed {
     const svo_allocator *allocator;
@@ -43,75 +44,121 @@ void svo_unposed_free(svo_unposed *u)
 
 /* ---- attributes ------------------------------------------------------------------------------------------------------- */
 
+/* What the octree can carry beside its normals, and what an asset without such a channel has: what the renderer takes then. */
+enum { COLOR, EMISSIVE, COVERAGE, METALLIC, ROUGHNESS, BONE, KINDS };
+static const struct { const char *name; svo_channel_kind kind; uint8_t plain[4]; } carried[KINDS] = {
+    {"color", SVO_KIND_COLOR_SRGB8, {203, 203, 203}}, {"emissive", SVO_KIND_COLOR_SRGB8, {0, 0, 0}}, {"coverage", SVO_KIND_UNORM8, {255}},
+    {"metallic", SVO_KIND_UNORM8, {0}},               {"roughness", SVO_KIND_UNORM8, {0}},           {"bone", SVO_KIND_ID32, {255, 255, 255, 255}}};
+
 typedef struct gathering {
     const svo_scene *scene;
     const svo_selection *selection;
-    uint32_t *channel[2]; /* color and emissive of each asset, SVO_MAX_CHANNELS: none */
-    uint8_t *values[3];   /* normal, color, emissive; 4, 3, 3 bytes */
+    const svo_resampled *cells;
+    uint32_t *channel[KINDS], *short_bone; /* of each asset, SVO_MAX_CHANNELS: none; short_bone: bones of 16 bits */
+    uint8_t *normals, *values[KINDS];      /* NULL: not carried */
+    uint8_t *level;                        /* of the cells of each box, where coverage is carried */
+    uint8_t mirror;                        /* metallic of assets that have neither it nor a roughness */
 } gathering;
 
-/* What the renderer takes for an asset without colours, and no light. */
-static const uint8_t no_color[2][3] = {{203, 203, 203}, {0, 0, 0}};
+/* A ray goes through several cells of a box, and of its neighbours, that overlap it. What they cover together is to be what the voxel covers: the renderer takes the cells of
+ * a surface to be as thick as |n| . edge an axis, and here they are as thick as the boxes, and a cell more for those that boxes meet in part. */
+static uint8_t thinner_coverage(const gathering *g, uint64_t i, uint8_t coverage)
+{
+    const svo_selected *b = &g->selection->boxes[i];
+    const double edge = ldexp(g->cells->voxel_to_world[0], (int)(g->cells->depth - g->level[i]));
+    double cell = 0, all = 0;
+    float n[3];
+    svo_oct32_decode(b->normal, n);
+    for (int k = 0; k < 3; k++) cell += fabsf(n[k]) * edge, all += fabsf(n[k]) * ((double)b->high[k] - b->low[k] + edge);
+    if (coverage == 255 || coverage == 0) return coverage;
+    const double share = 1 - pow(1 - coverage / 255.0, cell / all);
+    return (uint8_t)fmin(fmax(rint(255 * share), 1), 254);
+}
+
+static void gather_value(const gathering *g, uint64_t i, int kind, uint8_t *value)
+{
+    const svo_selected *b = &g->selection->boxes[i];
+    const uint32_t asset = g->scene->instance_asset[b->instance], channel = g->channel[kind][asset];
+    memcpy(value, carried[kind].plain, sizeof carried[kind].plain);
+    if (channel != SVO_MAX_CHANNELS) svo_view_attribute(g->scene->assets[asset], channel, b->attribute, value);
+    else if (kind == METALLIC && g->channel[ROUGHNESS][asset] == SVO_MAX_CHANNELS) value[0] = g->mirror;
+    else if (kind == BONE && g->short_bone[asset] != SVO_MAX_CHANNELS) {
+        memset(value, 0, 4);
+        svo_view_attribute(g->scene->assets[asset], g->short_bone[asset], b->attribute, value);
+    }
+    if (kind == COVERAGE) value[0] = thinner_coverage(g, i, value[0]);
+}
 
 static svo_result gather_values(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     (void)worker, (void)err;
     gathering *g = user;
     for (uint64_t i = begin; i < end; i++) {
-        const svo_selected *b = &g->selection->boxes[i];
-        uint32_t asset = g->scene->instance_asset[b->instance];
-        memcpy(g->values[0] + 4 * i, b->normal, 4);
-        for (int c = 0; c < 2; c++) {
-            if (g->values[1 + c] == NULL) continue;
+        memcpy(g->normals + 4 * i, g->selection->boxes[i].normal, 4);
+        for (int c = 0; c < KINDS; c++) {
             uint8_t value[SVO_MAX_STRIDE];
-            if (g->channel[c][asset] != SVO_MAX_CHANNELS) svo_view_attribute(g->scene->assets[asset], g->channel[c][asset], b->attribute, value);
-            else memcpy(value, no_color[c], 3);
-            memcpy(g->values[1 + c] + 3 * i, value, 3);
+            const uint32_t stride = svo_channel_stride(carried[c].kind);
+            if (g->values[c] == NULL) continue;
+            gather_value(g, i, c, value);
+            memcpy(g->values[c] + stride * i, value, stride);
         }
     }
     return SVO_OK;
 }
 
-static svo_result find_values(const svo_scene *scene, const svo_selection *s, uint32_t threads, const svo_allocator *a, gathering *g, svo_error *err)
+static svo_result find_values(const svo_unpose_options *o, gathering *g, svo_error *err)
 {
-    static const char *const names[2] = {"color", "emissive"};
-    *g = (gathering){.scene = scene, .selection = s};
-    g->values[0] = svo_alloc(a, s->count, 4);
-    bool ok = g->values[0] != NULL || s->count == 0;
-    for (int c = 0; c < 2 && ok; c++) {
-        bool any = false;
-        g->channel[c] = svo_alloc(a, scene->asset_count, sizeof *g->channel[c]);
-        ok = g->channel[c] != NULL || scene->asset_count == 0;
-        for (uint32_t i = 0; i < scene->asset_count && ok; i++) {
-            const svo_view *v = scene->assets[i];
-            uint32_t n = svo_view_find_channel(v, names[c]);
-            bool there = n < v->channel_count && v->channels[n].channel.kind == SVO_KIND_COLOR_SRGB8;
-            g->channel[c][i] = there ? n : SVO_MAX_CHANNELS;
-            any = any || there;
-        }
-        if (!any || !ok) continue;
-        g->values[1 + c] = svo_alloc(a, s->count, 3);
-        ok = g->values[1 + c] != NULL || s->count == 0;
+    const svo_allocator *a = o->select.allocator;
+    const svo_scene *scene = g->scene;
+    const uint64_t count = g->selection->count;
+    bool any[KINDS], shorter, ok = true;
+    for (int c = 0; c < KINDS; c++) {
+        const bool plain = c != COLOR && c != METALLIC; /* an asset that has this everywhere has none */
+        g->channel[c] = svoi_find_channels(scene, carried[c].name, carried[c].kind, plain ? carried[c].plain : NULL, a, &any[c]);
+        ok = ok && (g->channel[c] != NULL || scene->asset_count == 0);
     }
-    return ok ? svo_parallel_for(threads, s->count, 0, gather_values, g, err) : no_memory(err);
+    g->short_bone = svoi_find_channels(scene, carried[BONE].name, SVO_KIND_ID16, NULL, a, &shorter);
+    ok = ok && (g->short_bone != NULL || scene->asset_count == 0);
+    any[BONE] = (any[BONE] || shorter) && o->labels;
+    any[METALLIC] = any[ROUGHNESS] = (any[METALLIC] || any[ROUGHNESS]) && o->reflections;
+    g->mirror = (uint8_t)rint(255 * o->reflectance);
+    g->normals = svo_alloc(a, count, 4);
+    ok = ok && (g->normals != NULL || count == 0);
+    for (int c = 0; c < KINDS && ok; c++) {
+        g->values[c] = any[c] ? svo_alloc(a, count, svo_channel_stride(carried[c].kind)) : NULL;
+        ok = !any[c] || g->values[c] != NULL || count == 0;
+    }
+    if (ok && any[COVERAGE]) {
+        g->level = svo_alloc(a, count, 1);
+        ok = g->level != NULL || count == 0;
+        for (uint64_t i = 0; i < g->cells->count && ok; i++) g->level[g->cells->samples[i].value] = (uint8_t)g->cells->samples[i].level;
+    }
+    return ok ? svo_parallel_for(o->select.threads, count, 0, gather_values, g, err) : no_memory(err);
 }
 
-static void free_values(gathering *g, uint64_t count, const svo_allocator *a)
+static void free_values(gathering *g, const svo_allocator *a)
 {
-    for (int c = 0; c < 2; c++) svo_free(a, g->channel[c], g->scene->asset_count, sizeof *g->channel[c]);
-    for (int c = 0; c < 3; c++) svo_free(a, g->values[c], count, c == 0 ? 4 : 3);
+    const uint64_t count = g->selection->count;
+    for (int c = 0; c < KINDS; c++) {
+        svo_free(a, g->channel[c], g->scene->asset_count, sizeof *g->channel[c]);
+        svo_free(a, g->values[c], count, svo_channel_stride(carried[c].kind));
+    }
+    svo_free(a, g->short_bone, g->scene->asset_count, sizeof *g->short_bone);
+    svo_free(a, g->normals, count, 4);
+    svo_free(a, g->level, count, 1);
 }
 
 static svo_result build_octree(svo_resampled *r, const gathering *g, uint32_t threads, svo_unposed *u, svo_hierarchy_report *report, svo_error *err)
 {
-    static const svo_channel channels[3] = {{.name = "normal", .kind = SVO_KIND_NORMAL_OCT32},
-                                            {.name = "color", .kind = SVO_KIND_COLOR_SRGB8},
-                                            {.name = "emissive", .kind = SVO_KIND_COLOR_SRGB8}};
-    svo_hierarchy_input in = {.depth = r->depth, .sample_count = r->count, .samples = r->samples, .value_count = g->selection->count};
+    svo_hierarchy_input in = {.depth = r->depth, .sample_count = r->count, .samples = r->samples, .value_count = g->selection->count, .channel_count = 1};
     memcpy(in.voxel_to_world, r->voxel_to_world, sizeof in.voxel_to_world);
-    for (int c = 0; c < 3; c++) {
+    in.channels[0] = (svo_channel){.name = "normal", .kind = SVO_KIND_NORMAL_OCT32};
+    in.values[0] = g->normals;
+    for (int c = 0; c < KINDS; c++) {
         if (g->values[c] == NULL) continue;
-        in.channels[in.channel_count] = channels[c];
+        svo_channel *to = &in.channels[in.channel_count];
+        memcpy(to->name, carried[c].name, strlen(carried[c].name));
+        to->kind = carried[c].kind;
         in.values[in.channel_count++] = g->values[c];
     }
     return svo_hierarchy_build(&in, threads, u->allocator, &u->octree, report, err);
@@ -188,7 +235,7 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
     svo_unpose_report r = {0};
     svo_selection selection;
     svo_resampled cells = {0};
-    gathering values = {.scene = scene};
+    gathering values = {.scene = scene, .selection = &selection, .cells = &cells};
     svo_unposed *u = svo_calloc(a, 1, sizeof *u);
     if (u == NULL) return no_memory(err);
     u->allocator = a;
@@ -206,10 +253,10 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
     result = svo_resample(&selection, o->method, 0, o->select.threads, a, &cells, err);
     r.resample = cells.report;
     double began = svo_seconds();
-    if (result == SVO_OK) result = find_values(scene, &selection, o->select.threads, a, &values, err);
+    if (result == SVO_OK) result = find_values(o, &values, err);
     r.seconds_values = svo_seconds() - began;
     if (result == SVO_OK) result = build_octree(&cells, &values, o->select.threads, u, &r.hierarchy, err);
-    free_values(&values, selection.count, a);
+    free_values(&values, a);
     svo_resampled_free(&cells);
     svo_selection_free(&selection);
     if (result == SVO_OK) result = make_scene(u, scene, o->select.everything, err);

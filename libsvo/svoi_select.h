@@ -33,9 +33,16 @@ static inline svoi_span svoi_samples(const svoi_look *l, const svoi_rect *r)
     return s;
 }
 
-/* Calls hit(user, x, y, depth) for the samples whose rays meet the box. Behind the eye's plane nothing is met; an eye inside a box meets it at depth 0. */
-typedef void (*svoi_sample_fn)(void *user, uint32_t x, uint32_t y, float depth);
+/* Calls hit(user, x, y, depth, leave) for the samples whose rays meet the box, with the depths at which they enter and leave it. Behind the eye's plane nothing
+ * is met; an eye inside a box meets it at depth 0. */
+typedef void (*svoi_sample_fn)(void *user, uint32_t x, uint32_t y, float depth, float leave);
+void svoi_draw_box_rows(const svoi_look *look, const float low[3], const float high[3], uint32_t begin, uint32_t end, svoi_sample_fn hit, void *user); /* rows [begin, end) */
 void svoi_draw_box(const svoi_look *look, const float low[3], const float high[3], svoi_sample_fn hit, void *user);
+
+extern const uint8_t svoi_covers; /* coverage of a voxel that hides what is behind it */
+/* For each asset the number of its channel with this name and kind, SVO_MAX_CHANNELS where it has none, or one that is `plain` (NULL: any) everywhere. Freed by the
+ * caller, scene->asset_count; NULL without memory (or assets). *any: does one have it? */
+uint32_t *svoi_find_channels(const svo_scene *scene, const char *name, svo_channel_kind kind, const uint8_t *plain, const svo_allocator *a, bool *any);
 
 /* (*out)[i] is 1 where an earlier instance has the same asset, place and pose, so that i can never be seen. Freed by the caller: one byte an instance. */
 svo_result svoi_find_copies(const svo_scene *s, const svo_allocator *a, uint8_t **out, svo_error *err);
@@ -49,7 +56,7 @@ typedef struct svoi_depth {
 } svoi_depth;
 svo_result svoi_depth_make(svoi_depth *d, uint32_t width, uint32_t height, const svo_allocator *a, svo_error *err);
 void svoi_depth_free(svoi_depth *d);
-void svoi_depth_add(void *depth, uint32_t x, uint32_t y, float at); /* a svoi_sample_fn */
+void svoi_depth_add(void *depth, uint32_t x, uint32_t y, float at, float leave); /* a svoi_sample_fn */
 void svoi_depth_update(svoi_depth *d);
 /* Is every sample of the span nearer than `near`, as of the last update? True for an empty span. */
 bool svoi_depth_hides(const svoi_depth *d, const svoi_span *s, double near);

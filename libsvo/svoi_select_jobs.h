@@ -34,7 +34,7 @@ typedef struct svoi_selecting {
     double origin[3];
     svoi_look look;
     svoi_depth depth;         /* with occlusion */
-    uint32_t *normal_channel; /* of each asset */
+    uint32_t *normal_channel, *coverage_channel; /* of each asset; what covers a part only hides nothing */
     uint8_t *copy;            /* of each instance: it is where another is */
     svo_bones **bones;        /* of each asset that an instance moves by its bones, else NULL */
     bool by_pages;

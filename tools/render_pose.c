@@ -206,9 +206,11 @@ svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options 
     return r;
 }
 
-svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err)
+svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, const svo_render_options *look, int resample, bool labels, const char *save,
+                        svo_error *err)
 {
-    svo_unpose_options o = {.select = *select, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+    svo_unpose_options o = {.select = *select, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT,
+                            .reflections = look->reflections || save != NULL, .reflectance = look->reflectance, .labels = labels || save != NULL};
     svo_unpose_report r;
     cli_phase(c, "deform");
     SVO_TRY(svo_unpose(*scene, &o, &p->unposed, &r, err));

@@ -21,8 +21,10 @@ enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT };
 svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err);
 bool has_poses(const svo_scene *scene);
 
-/* Replace *scene by one that the ray caster takes; `select` says what the picture needs. Reports under "deformation". save: path of an .svo, or NULL. */
-svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, int resample, const char *save, svo_error *err);
+/* Replace *scene by one that the ray caster takes; `select` says what the picture needs. Reports under "deformation". labels: bones are wanted. save: path of an .svo,
+ * or NULL. */
+svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, const svo_render_options *look, int resample, bool labels, const char *save,
+                        svo_error *err);
 void posing_close(posing *p);
 
 /* What --resample auto is: boxes as they are when nothing but the eye asks what is where, else cells that follow them (figure 29, for a renderer without a budget

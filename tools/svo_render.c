@@ -236,10 +236,11 @@ static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_
     *direct = true;
     svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = everything,
                                  .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
-    int resample = choose_resample(ask.save_svo != NULL && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
+    const bool exr = picture_is_exr(c->output), octree = ask.save_svo != NULL || exr; /* these need more than boxes */
+    int resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
     if (resample == RESAMPLE_DIRECT) return ask.save_svo == NULL ? SVO_OK : svo_fail(err, SVO_INVALID_ARGUMENT, "--resample direct makes no octree for --save-svo");
     *direct = false;
-    return unpose_scene(p, c, scene, &select, resample, ask.save_svo, err);
+    return unpose_scene(p, c, scene, &select, o, resample, exr, ask.save_svo, err);
 }
 
 static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err)

@@ -338,7 +338,7 @@ TEST(no_gap_under_any_pose)
         if (test_failed()) return;
         for (int m = 0; m < 2 && !test_failed(); m++)
             for (int whole = 0; whole < 2 && !test_failed(); whole++) {
-                svo_unpose_options o = {looking(whole != 0), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+                svo_unpose_options o = {.select = looking(whole != 0), .method = m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
                 svo_unposed *u;
                 svo_unpose_report r;
                 CHECK_OK(svo_unpose(&w.scene, &o, &u, &r, &err));
@@ -364,7 +364,7 @@ TEST(no_ray_passes_between_neighbours)
         world w;
         world_make(&w, poses[n], &place);
         for (int m = 0; m < 2; m++) {
-            svo_unpose_options o = {looking(true), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+            svo_unpose_options o = {.select = looking(true), .method = m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
             svo_unposed *u;
             CHECK_OK(svo_unpose(&w.scene, &o, &u, NULL, &err));
             svo_bvh *bvh;
@@ -456,7 +456,7 @@ TEST(no_gap_between_bones)
     svo_mat4 id = svo_mat4_identity();
     svo_deform d = svo_deform_make(&scene.poses, &pose, &id, &id);
     for (int m = 0; m < 2; m++) {
-        svo_unpose_options o = {looking(true), m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+        svo_unpose_options o = {.select = looking(true), .method = m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
         svo_unposed *u;
         CHECK_OK(svo_unpose(&scene, &o, &u, NULL, &err));
         const svo_view *v = svo_unposed_view(u);
@@ -564,7 +564,7 @@ TEST(culling_loses_no_cell_that_is_seen)
     crowd_make(&c, 10, 16);
     if (test_failed()) return;
     for (int m = 0; m < 2; m++) {
-        svo_unpose_options o = {{.width = 160, .height = 100, .delta = 1}, m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+        svo_unpose_options o = {.select = {.width = 160, .height = 100, .delta = 1}, .method = m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
         CHECK_OK(svo_eye_look(svo_v3(-30, 40, 60), svo_v3(60, 0, -80), svo_v3(0, 1, 0), 0.9, &o.select.eye, &err));
         svo_scene_hit *hits[2];
         uint64_t selected[2];
@@ -601,7 +601,7 @@ TEST(zero_instances_and_empty_assets)
 {
     svo_error err = {0};
     svo_scene none = {.names = "", .names_size = 1};
-    svo_unpose_options o = {looking(false), SVO_RESAMPLE_EMIT};
+    svo_unpose_options o = {.select = looking(false), .method = SVO_RESAMPLE_EMIT};
     svo_unposed *u;
     CHECK_OK(svo_unpose(&none, &o, &u, NULL, &err));
     CHECK_U64(svo_unposed_scene(u)->instance_count, 0);
