@@ -11,7 +11,7 @@
 #include "embed.h"
 
 enum {
-    PLANES = 10,
+    PLANES = 11,
     INSTANCE_BYTES = 52,
     NODE_LIMIT = 1 << 24, /* of an octree: the shader keeps a child's number in 24 bits */
     TOTAL_LIMIT = 1 << 25,
@@ -26,7 +26,7 @@ typedef struct plane { const char *name; uint32_t channel, byte; } plane;
 
 typedef struct asset {
     const svo_view *v;
-    uint32_t depth, color, normal, emissive, label, planes;
+    uint32_t depth, color, normal, emissive, label, coverage, planes;
     plane plane[PLANES];
     uint8_t constant[PLANES]; /* in the order of plane_names */
     svo_buffer masks[SVO_MAX_DEPTH + 1], values[SVO_MAX_DEPTH + 1]; /* by level; values interleaved */
@@ -35,7 +35,7 @@ typedef struct asset {
     uint64_t *budget; /* bytes left */
 } asset;
 
-static const char *const plane_names[PLANES] = {"r", "g", "b", "u", "v", "i", "j", "er", "eg", "eb"};
+static const char *const plane_names[PLANES] = {"r", "g", "b", "u", "v", "i", "j", "er", "eg", "eb", "c"};
 
 static uint8_t fold(float x) { return (uint8_t)lrintf(127 + 127 * fmaxf(-1, fminf(1, x))); }
 
@@ -64,6 +64,7 @@ static void leaf_bytes(const asset *a, const uint8_t *const *values, uint8_t out
     if (a->normal != SVO_MAX_CHANNELS) fold_normal(a->v, values[a->normal], out + 3);
     if (a->label != SVO_MAX_CHANNELS) memcpy(out + 5, values[a->label], 2);
     if (a->emissive != SVO_MAX_CHANNELS) memcpy(out + 7, values[a->emissive], 3);
+    if (a->coverage != SVO_MAX_CHANNELS) out[10] = values[a->coverage][0];
 }
 
 static uint32_t find(const svo_view *v, const char *name, svo_channel_kind kind)
@@ -78,10 +79,12 @@ static void choose_planes(asset *a)
     a->color = find(v, "color", SVO_KIND_COLOR_SRGB8);
     a->normal = find(v, "normal", SVO_KIND_NORMAL_OCT32);
     a->emissive = find(v, "emissive", SVO_KIND_COLOR_SRGB8);
+    a->coverage = find(v, "coverage", SVO_KIND_UNORM8);
     a->label = find(v, "bone", SVO_KIND_ID16);
     if (a->label == SVO_MAX_CHANNELS) a->label = find(v, "material", SVO_KIND_ID16);
-    const uint32_t of[PLANES] = {a->color, a->color, a->color, a->normal, a->normal, a->label, a->label, a->emissive, a->emissive, a->emissive};
+    const uint32_t of[PLANES] = {a->color, a->color, a->color, a->normal, a->normal, a->label, a->label, a->emissive, a->emissive, a->emissive, a->coverage};
     for (int i = 0; i < 3; i++) a->constant[i] = svo_linear_to_srgb(0.6f); /* as svo-render draws what has no colour */
+    a->constant[10] = 255;
     const uint8_t *values[SVO_MAX_CHANNELS];
     for (uint32_t i = 0; i < v->channel_count; i++) values[i] = v->channels[i].channel.value;
     leaf_bytes(a, values, a->constant);
@@ -155,6 +158,8 @@ static json_t *asset_json(const asset *a, const char *name)
     json_object_set_new(o, "unnumbered", json_boolean(a->planes == 0));
     json_object_set_new(o, "normal", json_boolean(a->normal != SVO_MAX_CHANNELS));
     json_object_set_new(o, "emissive", json_boolean(a->emissive != SVO_MAX_CHANNELS));
+    json_object_set_new(o, "coverage", json_boolean(a->coverage != SVO_MAX_CHANNELS && (!a->v->channels[a->coverage].channel.constant || a->constant[10] != 255)));
+    json_object_set_new(o, "thin", json_boolean(a->v->surface == SVO_SURFACE_THIN));
     json_object_set_new(o, "label", a->label != SVO_MAX_CHANNELS ? json_string(a->v->channels[a->label].channel.name) : json_null());
     json_object_set_new(o, "low", dump_reals(a->low, 3));
     json_object_set_new(o, "high", dump_reals(a->high, 3));

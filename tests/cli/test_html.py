@@ -106,6 +106,29 @@ def test_without_attributes_and_coarse(folder):
     compare(folder, cube(folder, 1, "tiny", ("--attributes", "color")), [([2.2, 1.9, 2.7], [0.5, 0.5, 0.5], 30)])
 
 
+def test_panes_let_light_pass(folder):
+    """Two panes that cover half of what is behind them, one behind the other, in front of a wall and above a floor with their shadows."""
+    browser.find()
+    quads = [("wall", (0.2, 0.5, 0.9), 1, [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)]), ("floor", (0.8, 0.7, 0.5), 1, [(-1, -1, -1), (-1, -1, 1), (1, -1, 1), (1, -1, -1)]),
+             ("red", (1, 0.1, 0.1), 0.5, [(-0.9, -0.6, 0.2), (0.3, -0.6, 0.2), (0.3, 0.7, 0.2), (-0.9, 0.7, 0.2)]),
+             ("green", (0.1, 0.9, 0.2), 0.4, [(-0.3, -0.8, 0.7), (0.8, -0.8, 0.5), (0.8, 0.4, 0.5), (-0.3, 0.4, 0.7)])]
+    text, materials = ["mtllib panes.mtl"], []
+    for i, (name, color, cover, corners) in enumerate(quads):
+        materials.append("newmtl %s\nKd %g %g %g\nd %g" % (name, *color, cover))
+        text += ["usemtl " + name] + ["v %g %g %g" % c for c in corners] + ["f %d %d %d %d" % tuple(4 * i + k for k in (1, 2, 3, 4))]
+    (folder / "panes.obj").write_text("\n".join(text) + "\n")
+    (folder / "panes.mtl").write_text("\n".join(materials) + "\n")
+    run("svo-voxelize", folder / "panes.obj", "-o", folder / "panes.svo", "--depth", 6)
+    check("coverage" in [c["name"] for c in json.loads(run("svo-dump", folder / "panes.svo", "--json").out)["attributes"]], "panes without coverage")
+    compare(folder, folder / "panes.svo", [([0.2, 0.3, 4.2], [0, 0, 0], 40), ([2.6, 1.2, 3], [0, -0.1, 0], 40)])
+    with browser.open_page(page(folder, folder / "panes.svo", "-f"), WIDTH, HEIGHT) as p:
+        camera(p, [0.2, 0.3, 4.2], [0, 0, 0], 40)
+        shown = show(p, folder, "through.png")
+        red, both = shown[HEIGHT // 2 - 20][WIDTH // 2 - 40], shown[HEIGHT // 2][WIDTH // 2]
+        check(red[2] > 60, "nothing of the wall is seen through the pane: %s" % (red,))
+        check(both[1] > red[1] and both[0] < red[0], "the second pane does not tint: %s behind it %s" % (both, red))
+
+
 def test_controls(folder):
     browser.find()
     file = scene(folder)

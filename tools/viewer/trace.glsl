@@ -1,9 +1,9 @@
 // Ray-casts sparse octrees that lie in textures. One source, two programs: with PICK defined it writes what is under one
-// pixel as integers, otherwise it writes the picture.
+// pixel as integers, otherwise it writes the picture; with SEE_THROUGH defined some nodes cover a part only of what is behind them.
 //
 // uNodes: one word a node above the leaves: bits 0..7 child mask (0: all of the node is full), bits 8..31 number of
 // the first child within its octree. Children are stored together, so child k of a node is first + (bits of the mask below k).
-// uAttributes: two words a node: sRGB colour in three bytes; octahedral normal in two bytes (127 is zero), label in 16 bits.
+// uAttributes: two words a node: sRGB colour in three bytes, coverage in one; octahedral normal in two bytes (127 is zero), label in 16 bits.
 // uAssets: two texels an octree: begin in uNodes, begin in uAttributes, depth, flags.
 // uInstances: seven texels an instance: rows of scene-to-cube (the octree is the unit cube), rows of cube-to-scene, then
 // number of the octree, longest edge of the cube in the scene, number of the instance in the file.
@@ -31,7 +31,8 @@ uniform vec3 uTop, uBottom;               // background, linear light
 
 const int WIDTH = 4096;
 const int STACK = 32;
-const uint HAS_NORMAL = 1u, UNNUMBERED = 2u, HAS_EMISSIVE = 4u;
+const uint HAS_NORMAL = 1u, UNNUMBERED = 2u, HAS_EMISSIVE = 4u, THIN = 8u;
+const int LAYERS = 64; // that a ray goes through at most
 
 struct Hit {
     float t;       // along the ray, negative: nothing
@@ -57,6 +58,9 @@ vec3 safe(vec3 d)
     return vec3(abs(d.x) < least ? least : d.x, abs(d.y) < least ? least : d.y, abs(d.z) < least ? least : d.z);
 }
 
+// Where the ray begins: nothing, or the face through which it left the last node.
+int begin_axis = -1;
+
 // One octree. o + t d is the ray in its cells (0 .. 2^depth). A node is small enough when edge * 2^-level <= spread t + offset.
 void trace_tree(uint begin, int depth, vec3 o, vec3 d, float low, bool sliced, float edge, float spread, float offset, int instance, inout Hit best)
 {
@@ -66,16 +70,17 @@ void trace_tree(uint begin, int depth, vec3 o, vec3 d, float low, bool sliced, f
     vec3 near = min(a, b), far = max(a, b);
     float t = max(max(near.x, near.y), near.z), end = min(min(far.x, far.y), far.z);
     int axis = near.x >= near.y && near.x >= near.z ? 0 : near.y >= near.z ? 1 : 2;
-    if (t < low) {
+    bool outside = t >= low;
+    if (!outside) {
         t = low;
-        axis = sliced ? 3 : -1;
+        axis = sliced ? 3 : begin_axis;
     }
     if (best.t >= 0.0) end = min(end, best.t);
     if (!(t < end)) return;
     bvec3 up = greaterThan(d, vec3(0.0));
     int most = min(depth, uLevel);
     ivec3 cell = clamp(ivec3(floor(o + d * t)), ivec3(0), ivec3((1 << depth) - 1));
-    if (axis >= 0 && axis < 3) cell[axis] = up[axis] ? 0 : (1 << depth) - 1;
+    if (outside) cell[axis] = up[axis] ? 0 : (1 << depth) - 1;
     uint stack[22];
     stack[0] = 0u;
     int level = 0;
@@ -138,7 +143,8 @@ bool meets_box(vec3 low, vec3 high, vec3 o, vec3 inverse, float begin, float end
     return max(max(near.x, near.y), max(near.z, begin)) <= min(min(far.x, far.y), min(far.z, end));
 }
 
-Hit trace(vec3 origin, vec3 direction, float spread, float offset, bool any)
+// From t = begin on.
+Hit trace(vec3 origin, vec3 direction, float begin, float spread, float offset, bool any)
 {
     Hit best = Hit(-1.0, -1, 0, -1, 0u, ivec3(0));
     float low = 0.0, high = 1e30;
@@ -147,6 +153,7 @@ Hit trace(vec3 origin, vec3 direction, float spread, float offset, bool any)
     if (along > 0.0) high = ahead / along;
     else if (along < 0.0 && ahead < 0.0) low = ahead / along, sliced = true;
     else if (ahead < 0.0) return best;
+    if (begin > low) low = begin, sliced = false;
     if (high <= low) return best;
     vec3 inverse = 1.0 / safe(direction);
     int stack[STACK];
@@ -240,6 +247,59 @@ vec3 shadow_origin(Hit h, vec3 n)
     return vec3(dot(x.xyz, p) + x.w, dot(y.xyz, p) + y.w, dot(z.xyz, p) + z.w);
 }
 
+#ifdef SEE_THROUGH
+// Share of what is behind a node that it covers; the begin of the ray is moved behind it. Where a ray goes through several nodes of a surface, each counts by the way
+// inside, so that all together count as one, as in svo-render.
+float pass(Hit h, uvec2 value, uint flags, vec3 n, vec3 origin, vec3 direction, out float begin)
+{
+    int at = 7 * h.instance;
+    vec4 x = texelFetch(uInstances, place(at), 0), y = texelFetch(uInstances, place(at + 1), 0), z = texelFetch(uInstances, place(at + 2), 0);
+    vec3 u = texelFetch(uInstances, place(at + 3), 0).xyz, v = texelFetch(uInstances, place(at + 4), 0).xyz, w = texelFetch(uInstances, place(at + 5), 0).xyz;
+    float edge = exp2(-float(h.level)), coverage = float(value.x >> 24) / 255.0;
+    vec3 o = vec3(dot(x.xyz, origin) + x.w, dot(y.xyz, origin) + y.w, dot(z.xyz, origin) + z.w);
+    vec3 d = safe(vec3(dot(x.xyz, direction), dot(y.xyz, direction), dot(z.xyz, direction)));
+    vec3 far = max((vec3(h.cell) * edge - o) / d, (vec3(h.cell + 1) * edge - o) / d), g = abs(normalize(u * n.x + v * n.y + w * n.z));
+    float leave = min(min(far.x, far.y), far.z), thick = (flags & THIN) != 0u ? max(max(g.x, g.y), g.z) : g.x + g.y + g.z;
+    begin_axis = far.x <= far.y && far.x <= far.z ? 0 : far.y <= far.z ? 1 : 2;
+    begin = max(leave, h.t) + 0.01 * edge / max(max(abs(d.x), abs(d.y)), abs(d.z));
+    if (coverage >= 1.0) return 1.0;
+    return 1.0 - pow(1.0 - coverage, max(leave - h.t, 0.0) * abs(dot(d, normalize(u * n.x + v * n.y + w * n.z))) / (thick * edge));
+}
+#endif
+
+// Share of the light that arrives.
+float sunlight(vec3 origin, float offset)
+{
+#ifdef SEE_THROUGH
+    float light = 1.0, begin = 0.0;
+    begin_axis = -1;
+    for (int i = 0; i < LAYERS && light > 0.001; i++) {
+        Hit h = trace(origin, uLight, begin, 0.0, offset, false);
+        if (h.t < 0.0) return light;
+        uvec2 value;
+        uint emissive, flags;
+        attributes(h, value, emissive, flags);
+        light *= 1.0 - pass(h, value, flags, surface_normal(h, value, flags, uLight), origin, uLight, begin);
+    }
+    return light > 0.001 ? light : 0.0;
+#else
+    return trace(origin, uLight, 0.0, 0.0, offset, true).t >= 0.0 ? 0.0 : 1.0;
+#endif
+}
+
+// Light from a hit, linear.
+vec3 shade(Hit h, uvec2 value, uint emissive, vec3 n, float spread)
+{
+    vec3 albedo = to_linear(unpack_rgb(value.x)), light = vec3(0.0);
+    if (uMode == 2) albedo = level_color(h.level);
+    if (uMode == 3) albedo = hash_color(uint(texelFetch(uInstances, place(7 * h.instance + 6), 0).z));
+    if (uMode == 4) albedo = hash_color(value.y >> 16);
+    if (uMode == 0) light = to_linear(unpack_rgb(emissive));
+    float direct = max(0.0, dot(n, uLight));
+    if (direct > 0.0 && uShadows != 0) direct *= sunlight(shadow_origin(h, n), spread * h.t);
+    return light + albedo * (uAmbient * (0.75 + 0.25 * n.y) + (1.0 - uAmbient) * direct);
+}
+
 #ifdef PICK
 out uvec4 result;
 #else
@@ -252,7 +312,7 @@ void main()
     float scale = 2.0 * uHalf / uSize.y;
     vec3 direction = uForward + uRight * ((at.x - 0.5 * uSize.x) * scale) + uUp * ((at.y - 0.5 * uSize.y) * scale);
     float spread = uFootprint * scale;
-    Hit h = trace(uEye, direction, spread, 0.0, false);
+    Hit h = trace(uEye, direction, 0.0, spread, 0.0, false);
     uvec2 value = uvec2(0u);
     uint emissive = 0u, flags = 0u;
     if (h.t >= 0.0) attributes(h, value, emissive, flags);
@@ -260,13 +320,12 @@ void main()
     uvec3 c = uvec3(h.cell); // at most 21 bits each
     result = uvec4(floatBitsToUint(h.t), uint(h.instance + 1) | uint(h.level) << 24, c.x | c.y << 21, c.y >> 11 | c.z << 10);
 #else
+    vec3 background = mix(uTop, uBottom, 1.0 - at.y / uSize.y), n;
     if (h.t < 0.0) {
-        float height = 1.0 - at.y / uSize.y;
-        result = vec4(to_srgb(mix(uTop, uBottom, height)), 1.0);
+        result = vec4(to_srgb(background), 1.0);
         return;
     }
-    vec3 n = surface_normal(h, value, flags, direction);
-    vec3 albedo = to_linear(unpack_rgb(value.x)), light = vec3(0.0);
+    n = surface_normal(h, value, flags, direction);
     if (uMode == 1) {
         result = vec4(0.5 * n + 0.5, 1.0);
         return;
@@ -275,13 +334,24 @@ void main()
         result = vec4(unpack_rgb(value.x), 1.0);
         return;
     }
-    if (uMode == 2) albedo = level_color(h.level);
-    if (uMode == 3) albedo = hash_color(uint(texelFetch(uInstances, place(7 * h.instance + 6), 0).z));
-    if (uMode == 4) albedo = hash_color(value.y >> 16);
-    if (uMode == 0) light = to_linear(unpack_rgb(emissive));
-    float direct = max(0.0, dot(n, uLight));
-    if (direct > 0.0 && uShadows != 0 && trace(shadow_origin(h, n), uLight, 0.0, spread * h.t, true).t >= 0.0) direct = 0.0;
-    light += albedo * (uAmbient * (0.75 + 0.25 * n.y) + (1.0 - uAmbient) * direct);
-    result = vec4(to_srgb(light), 1.0);
+#ifdef SEE_THROUGH
+    vec3 sum = vec3(0.0);
+    float seen = 1.0, begin = 0.0;
+    for (int i = 0; i < LAYERS; i++) {
+        float cover = uMode == 0 ? pass(h, value, flags, n, uEye, direction, begin) : 1.0;
+        int axis = begin_axis;
+        sum += seen * cover * shade(h, value, emissive, n, spread);
+        seen *= 1.0 - cover;
+        if (seen < 0.001) break;
+        begin_axis = axis;
+        h = trace(uEye, direction, begin, spread, 0.0, false);
+        if (h.t < 0.0) break;
+        attributes(h, value, emissive, flags);
+        n = surface_normal(h, value, flags, direction);
+    }
+    result = vec4(to_srgb(sum + seen * background), 1.0);
+#else
+    result = vec4(to_srgb(shade(h, value, emissive, n, spread)), 1.0);
+#endif
 #endif
 }

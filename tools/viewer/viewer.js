@@ -77,13 +77,13 @@ function readAttributes(asset, tree, bytes, at, attributes, emissive, base) {
     }
     const value = (name, i) => planes[name] ? planes[name][i] : asset.constant[name] || 0;
     if (asset.unnumbered) {
-        attributes[2 * base] = value("r", 0) | value("g", 0) << 8 | value("b", 0) << 16;
+        attributes[2 * base] = value("r", 0) | value("g", 0) << 8 | value("b", 0) << 16 | value("c", 0) << 24;
         attributes[2 * base + 1] = value("u", 0) | value("v", 0) << 8 | value("i", 0) << 16 | value("j", 0) << 24;
         if (emissive) emissive[base] = value("er", 0) | value("eg", 0) << 8 | value("eb", 0) << 16;
         return at;
     }
-    const normal = planes.u !== undefined, glow = planes.er !== undefined, sums = new Float32Array(n * (3 + (normal ? 3 : 0) + (glow ? 3 : 0)));
-    const width = 3 + (normal ? 3 : 0) + (glow ? 3 : 0), weight = new Float64Array(n), v = [0, 0, 0];
+    const normal = planes.u !== undefined, glow = planes.er !== undefined, glass = planes.c !== undefined;
+    const width = 3 + (normal ? 3 : 0) + (glass ? 1 : 0) + (glow ? 3 : 0), cover = normal ? 6 : 3, sums = new Float32Array(n * width), weight = new Float64Array(n), v = [0, 0, 0];
     let leaf = 0, node = 0;
     const levelEnd = [];
     for (let level = 0, end = 0; level <= asset.depth; level++) {
@@ -93,7 +93,8 @@ function readAttributes(asset, tree, bytes, at, attributes, emissive, base) {
             if (level < asset.depth && (tree.words[node] & 255) !== 0) continue;
             const w = weight[node] = Math.pow(8, asset.depth - level), s = node * width, to = 2 * (base + node);
             const r = value("r", leaf), g = value("g", leaf), b = value("b", leaf);
-            attributes[to] = r | g << 8 | b << 16;
+            attributes[to] = r | g << 8 | b << 16 | value("c", leaf) << 24;
+            if (glass) sums[s + cover] = w * planes.c[leaf];
             attributes[to + 1] = value("u", leaf) | value("v", leaf) << 8 | value("i", leaf) << 16 | value("j", leaf) << 24;
             sums[s] = w * linearOf[r], sums[s + 1] = w * linearOf[g], sums[s + 2] = w * linearOf[b];
             if (normal) {
@@ -117,7 +118,7 @@ function readAttributes(asset, tree, bytes, at, attributes, emissive, base) {
             for (let k = 0; k < width; k++) sums[s + k] += sums[c * width + k];
         }
         const w = weight[i];
-        attributes[to] = srgbOf(sums[s] / w) | srgbOf(sums[s + 1] / w) << 8 | srgbOf(sums[s + 2] / w) << 16;
+        attributes[to] = srgbOf(sums[s] / w) | srgbOf(sums[s + 1] / w) << 8 | srgbOf(sums[s + 2] / w) << 16 | (glass ? Math.round(sums[s + cover] / w) : value("c", 0)) << 24;
         const uv = normal ? encodeNormal(sums[s + 3], sums[s + 4], sums[s + 5]) : value("u", 0) | value("v", 0) << 8;
         attributes[to + 1] = uv | attributes[2 * (base + first) + 1] & 0xffff0000;
         if (glow) emissive[base + i] = srgbOf(sums[s + width - 3] / w) | srgbOf(sums[s + width - 2] / w) << 8 | srgbOf(sums[s + width - 1] / w) << 16;
@@ -224,13 +225,14 @@ function texture(unit, format, array) {
 
 const bytes = await unpack();
 const begins = [];
-let words = 0, values = 0, deepest = 0, anyEmissive = false, labels = false;
+let words = 0, values = 0, deepest = 0, anyEmissive = false, labels = false, seeThrough = false;
 for (const a of meta.assets) {
     words += a.inner;
     values += a.unnumbered ? 1 : a.nodes;
     deepest = Math.max(deepest, a.depth);
     anyEmissive = anyEmissive || a.emissive;
     labels = labels || a.label !== null;
+    seeThrough = seeThrough || a.coverage;
 }
 const nodeWords = new Uint32Array(Math.max(1, words)), attributeWords = new Uint32Array(2 * Math.max(1, values));
 const emissiveWords = anyEmissive ? new Uint32Array(Math.max(1, values)) : null, assetWords = new Uint32Array(8 * Math.max(1, meta.assets.length));
@@ -241,7 +243,7 @@ const emissiveWords = anyEmissive ? new Uint32Array(Math.max(1, values)) : null,
         at = readAttributes(a, tree, bytes, at + a.inner, attributeWords, emissiveWords, value);
         nodeWords.set(tree.words, word);
         begins.push({ node: word, value });
-        assetWords.set([word, value, a.depth, (a.normal ? 1 : 0) | (a.unnumbered ? 2 : 0) | (a.emissive ? 4 : 0)], 8 * i);
+        assetWords.set([word, value, a.depth, (a.normal ? 1 : 0) | (a.unnumbered ? 2 : 0) | (a.emissive ? 4 : 0) | (a.thin ? 8 : 0)], 8 * i);
         word += a.inner, value += a.unnumbered ? 1 : a.nodes;
     });
     if (at + 52 * meta.instance_count !== bytes.length) problem("The data of this page are damaged.");
@@ -277,7 +279,7 @@ texture(2, "r32ui", emissiveWords || new Uint32Array(1));
 texture(3, "rgba32ui", assetWords);
 texture(4, "rgba32f", instanceRows);
 texture(5, "rgba32f", new Float32Array(tree));
-const drawing = program(""), picking = program("#define PICK\n");
+const drawing = program(seeThrough ? "#define SEE_THROUGH\n" : ""), picking = program("#define PICK\n");
 const pickTarget = gl.createFramebuffer();
 {
     gl.activeTexture(gl.TEXTURE6);
