@@ -211,7 +211,7 @@ svo_result svo_pipeline_run(const svo_pipeline *p, svo_error *err)
 {
     uint32_t threads = clamp_threads(p->threads);
     pipe_run r = {.p = p, .window = p->window != 0 ? p->window : threads * 4};
-    r.ready = r.window < 2 * threads ? (r.window + 1) / 2 : threads;
+    r.ready = r.window < 2 * threads ? (r.window + 1) / 2 : r.window > 4 * threads ? r.window / 2 : threads;
     r.items = calloc(r.window, p->item_size != 0 ? p->item_size : 1);
     r.state = calloc(r.window, sizeof *r.state);
     if (r.items == NULL || r.state == NULL) {

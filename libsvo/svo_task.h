@@ -23,7 +23,8 @@ uint32_t svo_processor_count(void);
 
 /* Ordered pipeline: `produce` is called by one thread at a time, in order, to describe the next item (set *more
  * false when there is none); `work` runs on the item in parallel; `commit` is called by one thread at a time, in the
- * order of production. At most `window` items (0 = 4 per thread) are between produce and commit, which bounds memory.
+ * order of production. At most `window` items (0 = 4 per thread) are between produce and commit, which bounds memory. With more than 4
+ * a thread, half of them are kept ready, so that the others go on while a thread that produces or commits is not running: short items need that.
  * Items are `item_size` bytes of storage reused after commit (zeroed once, at the start).
  * On a failure nothing later is committed, the rest is drained without work, and the failure first in item order
  * is returned. */

@@ -8,6 +8,7 @@
 
 enum {
     MOST_VISITS = 1 << 17,
+    AHEAD = 112, /* chunks of geometry alone that may wait besides some a thread */
     SLICE_VOXELS = 1 << 17,
     MOST_EXPANDED = 128 << 20, /* bytes of textures that are kept in two forms */
     SOLID_COST = 200, /* bytes a triangle to tell inside from outside in memory, at most while that is prepared (no edge is shared) */
@@ -382,6 +383,8 @@ static uint64_t shifted(uint64_t code, uint32_t by) { return code > UINT64_MAX >
 svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err)
 {
     svo_pipeline p = {.threads = threads, .item_size = sizeof(svoi_item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
+    /* A chunk of geometry takes 0.1 ms and some kB, and the system takes a processor away for milliseconds. */
+    if (r->shader == NULL && r->winding == NULL && threads > 1 && !r->bounded) p.window = 8 * threads + AHEAD;
     return svo_pipeline_run(&p, err);
 }
 
@@ -470,6 +473,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     svo_voxelize_report *report = r->report;
     r->began = svo_seconds();
     r->most_visits = MOST_VISITS;
+    r->bounded = o->memory != 0;
     r->slice_voxels = SLICE_VOXELS;
     SVO_TRY(svo_placement_create(r->placement.mesh, r->allocator, &r->placement, err));
     report->triangles = r->placement.triangle_count;

@@ -63,6 +63,7 @@ typedef struct svoi_run {
     svo_bins *bins;
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
+    bool bounded;       /* memory is limited */
     svo_winding *winding; /* of solids, else NULL; of all triangles, also where the run has those of a bin */
     struct svoi_far *far; /* NULL: the numbers that the winding knows are those of the run's placement */
     svo_solid_counts asked; /* by the thread that makes items */
