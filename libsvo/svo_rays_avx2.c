@@ -177,9 +177,9 @@ static bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool start, u
         }
         g->t[l] = from->t[i], g->t_max[l] = from->t_max[i], g->spread[l] = from->spread[i], g->offset[l] = from->offset[i];
         g->ray[l] = from->ray[i];
-        g->s[l] = start ? b->s[i] : SVOI_RAYS_BITS - 2;
-        g->node[l] = start ? b->node[i] : 0;
-        for (uint32_t k = 1; k < r->levels && start; k++) g->stack[k][l] = b->stack[k][i];
+        g->s[l] = b->s[i];
+        g->node[l] = b->node[i];
+        for (uint32_t k = 1; k < r->levels; k++) g->stack[k][l] = b->stack[k][i];
         g->active |= 1u << l;
     }
     return true;

@@ -295,14 +295,9 @@ INLINE bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, boo
     uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
     __mmask16 m = (__mmask16)_pdep_u32((1u << taken) - 1, empty);
     fill(&g->l, start ? &b->start : &b->in, lod, m, *next);
-    if (start) {
-        g->l.s = _mm512_mask_expand_epi32(g->l.s, m, _mm512_loadu_si512(&b->s[*next]));
-        g->l.node = _mm512_mask_expand_epi32(g->l.node, m, _mm512_loadu_si512(&b->node[*next]));
-        for (uint32_t k = 1; k < r->levels; k++) g->stack[k] = _mm512_mask_expand_epi32(g->stack[k], m, _mm512_loadu_si512(&b->stack[k][*next]));
-    } else {
-        g->l.s = choose(m, word(SVOI_RAYS_BITS - 2), g->l.s);
-        g->l.node = choose(m, _mm512_setzero_si512(), g->l.node);
-    }
+    g->l.s = _mm512_mask_expand_epi32(g->l.s, m, _mm512_loadu_si512(&b->s[*next]));
+    g->l.node = _mm512_mask_expand_epi32(g->l.node, m, _mm512_loadu_si512(&b->node[*next]));
+    for (uint32_t k = 1; k < r->levels; k++) g->stack[k] = _mm512_mask_expand_epi32(g->stack[k], m, _mm512_loadu_si512(&b->stack[k][*next]));
     *next += taken;
     g->active |= m;
     return true;
@@ -404,6 +399,42 @@ INLINE void step(group *g, const svo_rays *r)
     g->finished |= doubt;
 }
 
+/* The way down to where rays begin, all levels with all lanes. */
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    const __m512i one = word(1), three = word(3);
+    for (uint32_t i = first; i < first + count; i += 16) {
+        const uint32_t rest = first + count - i;
+        const __m512i q[3] = {_mm512_loadu_si512(&l->q[0][i]), _mm512_loadu_si512(&l->q[1][i]), _mm512_loadu_si512(&l->q[2][i])};
+        __mmask16 down = rest >= 16 ? 0xffff : (__mmask16)((1u << rest) - 1);
+        __m512i node = _mm512_setzero_si512(), at = word(SVOI_RAYS_BITS - 2);
+        pair limit = {_mm512_setzero_pd(), _mm512_setzero_pd()};
+        if (lod) {
+            limit.a = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i]), _mm512_loadu_pd(&l->t[i])), _mm512_loadu_pd(&l->offset[i]));
+            limit.b = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i + 8]), _mm512_loadu_pd(&l->t[i + 8])), _mm512_loadu_pd(&l->offset[i + 8]));
+        }
+        for (uint32_t level = r->levels - 1, s = SVOI_RAYS_BITS - 2; level > 0; level--, s -= 2) {
+            __m512i units[4];
+            load_nodes(r->units, node, units);
+            const __m512i x = _mm512_and_si512(_mm512_srli_epi32(q[0], s), three), y = _mm512_and_si512(_mm512_srli_epi32(q[1], s), three), z = _mm512_and_si512(_mm512_srli_epi32(q[2], s), three);
+            const __m512i c = _mm512_ternarylogic_epi32(x, _mm512_slli_epi32(y, 2), _mm512_slli_epi32(z, 4), 0xfe), bit = _mm512_sllv_epi32(one, _mm512_and_si512(c, word(31)));
+            const __mmask16 upper = _mm512_cmpge_epi32_mask(z, word(2));
+            const __m512i w = choose(upper, units[1], units[0]);
+            down = _mm512_mask_test_epi32_mask(down, w, bit);
+            if (lod) down &= (__mmask16)~within(word((int)s), limit); /* one that is small enough may be a hit */
+            if (down == 0) break;
+            __m512i rank = _mm512_popcnt_epi32(_mm512_and_si512(w, _mm512_sub_epi32(bit, one)));
+            rank = _mm512_mask_add_epi32(rank, upper, rank, _mm512_popcnt_epi32(units[0]));
+            if (level > 1) rank = _mm512_slli_epi32(rank, 1);
+            _mm512_storeu_si512(&b->stack[level][i], node);
+            node = _mm512_mask_add_epi32(node, down, units[2], rank);
+            at = _mm512_mask_sub_epi32(at, down, at, word(2));
+        }
+        _mm512_storeu_si512(&b->s[i], at);
+        _mm512_storeu_si512(&b->node[i], node);
+    }
+}
+
 /* Two groups take turns part by part: while one waits for its last result the other works. */
 enum { GROUPS = 2 };
 
@@ -441,5 +472,6 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
     (void)r, (void)rays, (void)count, (void)b;
     return false;
 }
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count) { (void)r, (void)lod, (void)l, (void)b, (void)first, (void)count; }
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b) { (void)r, (void)lod, (void)start, (void)b; }
 #endif

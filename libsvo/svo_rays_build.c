@@ -327,14 +327,14 @@ static outcome build(builder *b, svo_rays *r)
 static const svoi_rays_code *choose_code(svo_ray_kernel wanted, svo_ray_kernel *chosen)
 {
 #if defined(SVO_COMPILED_AVX512) && defined(__x86_64__)
-    static const svoi_rays_code avx512 = {svoi_rays_prepare_avx512, svoi_rays_trace_avx512, svoi_rays_hits_avx512, svoi_rays_packet_avx512};
+    static const svoi_rays_code avx512 = {svoi_rays_prepare_avx512, svoi_rays_begin_avx512, svoi_rays_trace_avx512, svoi_rays_hits_avx512, svoi_rays_packet_avx512};
     if ((wanted == SVO_KERNEL_AUTO || wanted == SVO_KERNEL_AVX512) && svoi_rays_have_avx512()) {
         *chosen = SVO_KERNEL_AVX512;
         return &avx512;
     }
 #endif
 #if defined(SVO_COMPILED_AVX2) && defined(__x86_64__)
-    static const svoi_rays_code avx2 = {svoi_rays_prepare_avx2, svoi_rays_trace_avx2, svoi_rays_hits_avx2, svoi_rays_packet_avx2};
+    static const svoi_rays_code avx2 = {svoi_rays_prepare_avx2, svoi_rays_begin, svoi_rays_trace_avx2, svoi_rays_hits_avx2, svoi_rays_packet_avx2};
     if (wanted != SVO_KERNEL_PORTABLE && svoi_rays_have_avx2()) {
         *chosen = SVO_KERNEL_AVX2;
         return &avx2;

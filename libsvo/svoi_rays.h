@@ -29,12 +29,16 @@ enum {
 };
 
 typedef struct svoi_ray_batch svoi_ray_batch;
+typedef struct svoi_ray_list svoi_ray_list;
 
 /* One kind of processor. */
 typedef struct svoi_rays_code {
     /* Fill in a batch from at most SVOI_RAYS_BATCH rays; true if some of them may stop above the finest voxels. */
     bool (*prepare)(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
-    /* All rays in lanes: those of `in`, or those of `start`; what is found is appended. */
+    /* Set `s`, `node` and `stack` of rays first .. first + count of a list: the smallest node that a ray begins in, or one above; not below one that it may stop at for its
+     * level of detail. */
+    void (*begin)(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
+    /* All rays in lanes: those of `in`, or those of `start`, from where `s`, `node` and `stack` say; what is found is appended. */
     void (*trace)(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
     /* hits[ray] of what was found, all but the attributes, which are 0; b->again tells by number of what was found which are not what svo_raycast finds. */
     void (*hits)(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
@@ -61,20 +65,20 @@ struct svo_rays {
 };
 
 /* Rays made ready: in fixed-point units, structure of arrays. */
-typedef struct svoi_ray_list {
+struct svoi_ray_list {
     _Alignas(64) double o[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], d[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD], inv[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) double t[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], t_max[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) double spread[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], offset[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     _Alignas(64) int32_t q[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD]; /* where the ray is at t */
     _Alignas(64) int32_t ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];  /* number in the batch */
-} svoi_ray_list;
+};
 
 struct svoi_ray_batch {
     svoi_ray_list in; /* those that can hit anything */
     uint32_t count;
-    /* Rays that a packet has brought to a node: its unit, log2 of the edge of its cells, and the nodes above it by level from the finest. */
-    svoi_ray_list start;
+    svoi_ray_list start; /* rays that a packet has brought to a node, and others to be traced with them */
     uint32_t starts;
+    /* Where the rays of `start` begin, or of `in` where `start` is not used: log2 of the edge of the node's cells, its unit, and the nodes above it by level from the finest. */
     _Alignas(64) int32_t s[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], node[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], stack[SVOI_RAYS_LEVELS][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     uint8_t unsure[SVOI_RAYS_BATCH / 8]; /* by number of ray: the kernel cannot tell; set by `prepare` and svoi_rays_settle */
     uint8_t blocked[SVOI_RAYS_BATCH / 8]; /* by number of ray, where only that is asked */
@@ -101,11 +105,13 @@ enum { SVOI_RAY_DOUBT = 0x100 };
 
 bool svoi_rays_have_avx512(void);
 bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
 bool svoi_rays_have_avx2(void);
 bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
+void svoi_rays_begin(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
 void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 bool svoi_rays_packet_avx2(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
