@@ -82,7 +82,7 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, const svoi_r
 }
 
 /* Neighbours begin in the smallest node that all of them are in, found once for 16 of them. */
-void svoi_rays_begin(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
+void svoi_rays_begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
 {
     for (uint32_t i = first; i < first + count; i += 16) {
         const uint32_t end = first + count - i < 16 ? first + count : i + 16;

@@ -23,7 +23,7 @@ INLINE int prepare_one(const svo_rays *r, const svo_ray *ray, bool lod, double s
     bool usual = fabs(t) <= 0x1p300 && ray->t_max == ray->t_max;
     for (int k = 0; k < 3; k++) {
         o[k] = ray->origin[k] * scale, d[k] = ray->direction[k] * scale, inv[k] = 1 / d[k];
-        usual &= fabs(o[k]) <= 0x1p40 && fabs(d[k]) >= 0x1p-300 && fabs(d[k]) <= 0x1p300; /* NaN fails every one */
+        usual &= fabs(o[k]) <= 0x1p40 && fabs(d[k]) >= 0x1p-90 && fabs(d[k]) <= 0x1p90; /* NaN fails every one; 1 / d, and planes times that, are normal floats */
         const double a = (low_side[k] - o[k]) * inv[k], z = (high_side[k] - o[k]) * inv[k];
         near[k] = d[k] < 0 ? z : a;
         leave = fmin(leave, d[k] < 0 ? a : z);

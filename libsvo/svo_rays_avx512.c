@@ -22,6 +22,10 @@
 #ifndef REFILL
 #define REFILL 8
 #endif
+/* Where rays begin it is worth a look how far they can hit anything while so many of 16 may find out: measured. */
+#ifndef WORTH
+#define WORTH 6
+#endif
 
 bool svoi_rays_have_avx512(void)
 {
@@ -79,8 +83,8 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
             inv[k] = _mm512_div_pd(one, d[k]);
             /* NaN fails every one of these */
             usual &= _mm512_cmp_pd_mask(absolute(o[k]), _mm512_set1_pd(far_enough), _CMP_LE_OQ);
-            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p-300), _CMP_GE_OQ);
-            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p300), _CMP_LE_OQ);
+            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p-90), _CMP_GE_OQ);
+            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p90), _CMP_LE_OQ); /* 1 / d, and planes times that, are normal floats */
             negative[k] = _mm512_cmp_pd_mask(d[k], zero, _CMP_LT_OQ);
             __m512d low = _mm512_mul_pd(_mm512_sub_pd(_mm512_set1_pd(low_side[k]), o[k]), inv[k]);
             __m512d high = _mm512_mul_pd(_mm512_sub_pd(_mm512_set1_pd(high_side[k]), o[k]), inv[k]);
@@ -399,40 +403,77 @@ INLINE void step(group *g, const svo_rays *r)
     g->finished |= doubt;
 }
 
-/* The way down to where rays begin, all levels with all lanes. */
-void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
+/* The way down to where rays begin, all levels with all lanes. What is found out on the way about where a ray can hit anything at all makes t_max smaller: rays that leave a
+ * surface miss what is in every node around them, one after the other. */
+INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t i, uint32_t count)
 {
-    const __m512i one = word(1), three = word(3);
-    for (uint32_t i = first; i < first + count; i += 16) {
-        const uint32_t rest = first + count - i;
-        const __m512i q[3] = {_mm512_loadu_si512(&l->q[0][i]), _mm512_loadu_si512(&l->q[1][i]), _mm512_loadu_si512(&l->q[2][i])};
-        __mmask16 down = rest >= 16 ? 0xffff : (__mmask16)((1u << rest) - 1);
-        __m512i node = _mm512_setzero_si512(), at = word(SVOI_RAYS_BITS - 2);
-        pair limit = {_mm512_setzero_pd(), _mm512_setzero_pd()};
-        if (lod) {
-            limit.a = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i]), _mm512_loadu_pd(&l->t[i])), _mm512_loadu_pd(&l->offset[i]));
-            limit.b = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i + 8]), _mm512_loadu_pd(&l->t[i + 8])), _mm512_loadu_pd(&l->offset[i + 8]));
-        }
-        for (uint32_t level = r->levels - 1, s = SVOI_RAYS_BITS - 2; level > 0; level--, s -= 2) {
-            __m512i units[4];
-            load_nodes(r->units, node, units);
-            const __m512i x = _mm512_and_si512(_mm512_srli_epi32(q[0], s), three), y = _mm512_and_si512(_mm512_srli_epi32(q[1], s), three), z = _mm512_and_si512(_mm512_srli_epi32(q[2], s), three);
-            const __m512i c = _mm512_ternarylogic_epi32(x, _mm512_slli_epi32(y, 2), _mm512_slli_epi32(z, 4), 0xfe), bit = _mm512_sllv_epi32(one, _mm512_and_si512(c, word(31)));
-            const __mmask16 upper = _mm512_cmpge_epi32_mask(z, word(2));
-            const __m512i w = choose(upper, units[1], units[0]);
-            down = _mm512_mask_test_epi32_mask(down, w, bit);
-            if (lod) down &= (__mmask16)~within(word((int)s), limit); /* one that is small enough may be a hit */
-            if (down == 0) break;
-            __m512i rank = _mm512_popcnt_epi32(_mm512_and_si512(w, _mm512_sub_epi32(bit, one)));
-            rank = _mm512_mask_add_epi32(rank, upper, rank, _mm512_popcnt_epi32(units[0]));
-            if (level > 1) rank = _mm512_slli_epi32(rank, 1);
-            _mm512_storeu_si512(&b->stack[level][i], node);
-            node = _mm512_mask_add_epi32(node, down, units[2], rank);
-            at = _mm512_mask_sub_epi32(at, down, at, word(2));
-        }
-        _mm512_storeu_si512(&b->s[i], at);
-        _mm512_storeu_si512(&b->node[i], node);
+    const __m512i one = word(1), three = word(3), field = word(15);
+    const __m512i q[3] = {_mm512_loadu_si512(&l->q[0][i]), _mm512_loadu_si512(&l->q[1][i]), _mm512_loadu_si512(&l->q[2][i])};
+    __mmask16 down = count >= 16 ? 0xffff : (__mmask16)((1u << count) - 1), alone = down, positive[3];
+    __m512i node = _mm512_setzero_si512(), at = word(SVOI_RAYS_BITS - 2);
+    __m512 step[3], reach = _mm512_set1_ps(INFINITY); /* alone: no hits but in this node; then they are at most so far away */
+    pair limit = {_mm512_setzero_pd(), _mm512_setzero_pd()}, t = {_mm512_loadu_pd(&l->t[i]), _mm512_loadu_pd(&l->t[i + 8])};
+    for (int k = 0; k < 3; k++) {
+        step[k] = _mm512_insertf32x8(_mm512_castps256_ps512(_mm512_cvtpd_ps(_mm512_loadu_pd(&l->inv[k][i]))), _mm512_cvtpd_ps(_mm512_loadu_pd(&l->inv[k][i + 8])), 1);
+        positive[k] = (__mmask16)~_mm512_movepi32_mask(_mm512_castps_si512(step[k]));
     }
+    if (lod) {
+        limit.a = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i]), t.a), _mm512_loadu_pd(&l->offset[i]));
+        limit.b = _mm512_add_pd(_mm512_mul_pd(_mm512_loadu_pd(&l->spread[i + 8]), t.b), _mm512_loadu_pd(&l->offset[i + 8]));
+    }
+    for (uint32_t level = r->levels - 1, s = SVOI_RAYS_BITS - 2; level > 0; level--, s -= 2) {
+        __m512i units[4];
+        load_nodes(r->units, node, units);
+        if (!lod && __builtin_popcount(alone) >= WORTH) {
+            /* as in misses_box */
+            const int32_t size = (int32_t)1 << s, margin = (1 << 15 >> (30 - s)) + 2;
+            const __m512i keep = word(-(4 * size)), keep_cell = word(-size);
+            __m512 enter = _mm512_setzero_ps(), leave = _mm512_set1_ps(INFINITY), leave_cell = leave;
+            for (int k = 0; k < 3; k++) {
+                const __m512i corner = _mm512_sub_epi32(_mm512_and_si512(q[k], keep), q[k]), cell = _mm512_sub_epi32(_mm512_and_si512(q[k], keep_cell), q[k]);
+                __m512i low = _mm512_and_si512(_mm512_srli_epi32(units[3], (unsigned)(4 * k)), field), high = _mm512_and_si512(_mm512_srli_epi32(units[3], (unsigned)(4 * k + 12)), field);
+                low = _mm512_add_epi32(_mm512_sub_epi32(corner, word(margin)), _mm512_slli_epi32(low, s - 2));
+                high = _mm512_add_epi32(_mm512_add_epi32(corner, word(margin + size / 4)), _mm512_slli_epi32(high, s - 2));
+                const __m512i far = _mm512_add_epi32(cell, _mm512_mask_mov_epi32(word(2), positive[k], word(size - 2)));
+                const __m512 x = _mm512_mul_ps(_mm512_cvtepi32_ps(low), step[k]), y = _mm512_mul_ps(_mm512_cvtepi32_ps(high), step[k]);
+                enter = _mm512_max_ps(_mm512_min_ps(x, y), enter);
+                leave = _mm512_min_ps(_mm512_max_ps(x, y), leave);
+                leave_cell = _mm512_min_ps(_mm512_mul_ps(_mm512_cvtepi32_ps(far), step[k]), leave_cell);
+            }
+            const __mmask16 missed = _mm512_mask_cmp_ps_mask(down, enter, leave, _CMP_GT_OQ);
+            down &= (__mmask16)~missed;
+            alone &= down | missed;
+            reach = _mm512_mask_min_ps(reach, alone, reach, leave);
+            reach = _mm512_mask_mov_ps(reach, alone & missed, _mm512_setzero_ps());
+            alone &= _mm512_cmp_ps_mask(reach, _mm512_mul_ps(leave_cell, _mm512_set1_ps(0.99999f)), _CMP_LE_OQ);
+        }
+        const __m512i x = _mm512_and_si512(_mm512_srli_epi32(q[0], s), three), y = _mm512_and_si512(_mm512_srli_epi32(q[1], s), three), z = _mm512_and_si512(_mm512_srli_epi32(q[2], s), three);
+        const __m512i c = _mm512_ternarylogic_epi32(x, _mm512_slli_epi32(y, 2), _mm512_slli_epi32(z, 4), 0xfe), bit = _mm512_sllv_epi32(one, _mm512_and_si512(c, word(31)));
+        const __mmask16 upper = _mm512_cmpge_epi32_mask(z, word(2));
+        const __m512i w = choose(upper, units[1], units[0]);
+        down = _mm512_mask_test_epi32_mask(down, w, bit);
+        if (lod) down &= (__mmask16)~within(word((int)s), limit); /* one that is small enough may be a hit */
+        alone &= down;
+        if (down == 0) break;
+        __m512i rank = _mm512_popcnt_epi32(_mm512_and_si512(w, _mm512_sub_epi32(bit, one)));
+        rank = _mm512_mask_add_epi32(rank, upper, rank, _mm512_popcnt_epi32(units[0]));
+        if (level > 1) rank = _mm512_slli_epi32(rank, 1);
+        _mm512_storeu_si512(&b->stack[level][i], node);
+        node = _mm512_mask_add_epi32(node, down, units[2], rank);
+        at = _mm512_mask_sub_epi32(at, down, at, word(2));
+    }
+    _mm512_storeu_si512(&b->s[i], at);
+    _mm512_storeu_si512(&b->node[i], node);
+    if (lod) return;
+    reach = _mm512_mul_ps(reach, _mm512_set1_ps(1.00001f));
+    t.a = _mm512_min_pd(_mm512_add_pd(t.a, _mm512_cvtps_pd(_mm512_castps512_ps256(reach))), _mm512_loadu_pd(&l->t_max[i]));
+    t.b = _mm512_min_pd(_mm512_add_pd(t.b, _mm512_cvtps_pd(_mm512_extractf32x8_ps(reach, 1))), _mm512_loadu_pd(&l->t_max[i + 8]));
+    _mm512_storeu_pd(&l->t_max[i], t.a), _mm512_storeu_pd(&l->t_max[i + 8], t.b);
+}
+
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i += 16) lod ? begin(r, true, l, b, first + i, count - i) : begin(r, false, l, b, first + i, count - i);
 }
 
 /* Two groups take turns part by part: while one waits for its last result the other works. */
@@ -472,6 +513,6 @@ bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t c
     (void)r, (void)rays, (void)count, (void)b;
     return false;
 }
-void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count) { (void)r, (void)lod, (void)l, (void)b, (void)first, (void)count; }
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count) { (void)r, (void)lod, (void)l, (void)b, (void)first, (void)count; }
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b) { (void)r, (void)lod, (void)start, (void)b; }
 #endif

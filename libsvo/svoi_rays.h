@@ -37,7 +37,7 @@ typedef struct svoi_rays_code {
     bool (*prepare)(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
     /* Set `s`, `node` and `stack` of rays first .. first + count of a list: the smallest node that a ray begins in, or one above; not below one that it may stop at for its
      * level of detail. */
-    void (*begin)(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
+    void (*begin)(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
     /* All rays in lanes: those of `in`, or those of `start`, from where `s`, `node` and `stack` say; what is found is appended. */
     void (*trace)(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
     /* hits[ray] of what was found, all but the attributes, which are 0; b->again tells by number of what was found which are not what svo_raycast finds. */
@@ -105,13 +105,13 @@ enum { SVOI_RAY_DOUBT = 0x100 };
 
 bool svoi_rays_have_avx512(void);
 bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
-void svoi_rays_begin_avx512(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
+void svoi_rays_begin_avx512(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
 bool svoi_rays_have_avx2(void);
 bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
-void svoi_rays_begin(const svo_rays *r, bool lod, const svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
+void svoi_rays_begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
 void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 bool svoi_rays_packet_avx2(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);

@@ -220,20 +220,61 @@ TEST(rays_that_go_the_same_way)
     free(rays);
 }
 
-/* Rays that begin above rough ground and run over it towards a light: one packet meets ever more bricks, in most of which it misses what is there. */
-TEST(rays_over_rough_ground_to_a_light)
+/* Rough ground, three voxels thick, and the height of its top. */
+enum { GROUND_DEPTH = 8, GROUND_SIDE = 1 << GROUND_DEPTH };
+static svo_view *make_ground(uint32_t ground[GROUND_SIDE][GROUND_SIDE], uint64_t *seed)
 {
-    enum { DEPTH = 8, SIDE = 1 << DEPTH, RAYS = 1024 };
-    uint64_t seed = 41, count = 0, blocked_rays = 0, traced = 0, *codes = malloc(3 * SIDE * SIDE * sizeof *codes);
-    static uint32_t ground[SIDE][SIDE];
-    for (uint32_t x = 0; x < SIDE; x++)
-        for (uint32_t z = 0; z < SIDE; z++) {
-            ground[x][z] = (uint32_t)(100 + 20 * sin(x / 9.0) * cos(z / 13.0) + 6 * test_random_unit(&seed));
+    uint64_t count = 0, *codes = malloc(3 * GROUND_SIDE * GROUND_SIDE * sizeof *codes);
+    for (uint32_t x = 0; x < GROUND_SIDE; x++)
+        for (uint32_t z = 0; z < GROUND_SIDE; z++) {
+            ground[x][z] = (uint32_t)(100 + 20 * sin(x / 9.0) * cos(z / 13.0) + 6 * test_random_unit(seed));
             for (uint32_t k = 0; k < 3; k++) codes[count++] = svo_morton_encode(x, ground[x][z] - k, z);
         }
     qsort(codes, count, 8, compare_codes);
     packer_options o = {.lod = true};
-    svo_view *v = packer_make(DEPTH, codes, count, &o);
+    svo_view *v = packer_make(GROUND_DEPTH, codes, count, &o);
+    free(codes);
+    return v;
+}
+
+/* Rays that begin near each other above, in and below rough ground, and leave it in all directions, with directions of all lengths: what is near is soon behind them. */
+TEST(rays_that_leave_rough_ground)
+{
+    enum { RAYS = 1024 };
+    static uint32_t ground[GROUND_SIDE][GROUND_SIDE];
+    static const int lengths[] = {0, 3, -20, 40, -80, 85, 110, -200};
+    uint64_t seed = 43, hits = 0, traced = 0;
+    svo_view *v = make_ground(ground, &seed);
+    svo_ray *rays = malloc(RAYS * sizeof *rays);
+    for (uint32_t tile = 0; tile < 64 && !test_failed(); tile++) {
+        const double step = 3 * test_random_unit(&seed), above = 12 * test_random_unit(&seed) - (tile % 8 == 3 ? 8 : 0), rise = tile % 3 == 0 ? 0.1 : 1;
+        const double left = test_random_unit(&seed) * (GROUND_SIDE - 32 * step), front = test_random_unit(&seed) * (GROUND_SIDE - 32 * step);
+        for (uint32_t i = 0; i < RAYS; i++) { /* 32x32 in blocks of 4x4 */
+            const double x = left + step * (i / 16 % 8 * 4 + i % 4), z = front + step * (i / 128 * 4 + i / 4 % 4);
+            const double d[3] = {test_random_unit(&seed) - 0.5, rise * (test_random_unit(&seed) - (tile % 2 == 0 ? 0 : 0.3)), test_random_unit(&seed) - 0.5};
+            rays[i] = (svo_ray){.origin = {x, ground[(uint32_t)x][(uint32_t)z] + above, z}, .t_max = INFINITY};
+            for (int k = 0; k < 3; k++) rays[i].direction[k] = ldexp(d[k], lengths[tile % 8]);
+            if (tile % 5 == 4) rays[i].t_max = ldexp(100 * test_random_unit(&seed), -lengths[tile % 8]);
+            if (tile % 7 == 3) rays[i].offset = 6 * test_random_unit(&seed);
+            if (tile % 7 == 5) rays[i].spread = ldexp(0.2 * test_random_unit(&seed), lengths[tile % 8]);
+            if (tile % 11 == 5) rays[i].t_min = ldexp(-20 * test_random_unit(&seed), -lengths[tile % 8]);
+            hits += svo_ray_blocked(v, &rays[i]);
+        }
+        traced += RAYS;
+        check_rays(v, rays, RAYS);
+    }
+    CHECK(hits > traced / 8 && hits < traced - traced / 8);
+    free(rays);
+    packer_free(v);
+}
+
+/* Rays that begin above rough ground and run over it towards a light: one packet meets ever more bricks, in most of which it misses what is there. */
+TEST(rays_over_rough_ground_to_a_light)
+{
+    enum { SIDE = GROUND_SIDE, RAYS = 1024 };
+    uint64_t seed = 41, blocked_rays = 0, traced = 0;
+    static uint32_t ground[SIDE][SIDE];
+    svo_view *v = make_ground(ground, &seed);
     svo_ray *rays = malloc(RAYS * sizeof *rays);
     for (uint32_t tile = 0; tile < 48 && !test_failed(); tile++) {
         double step = 0.2 + 3 * test_random_unit(&seed), above = 1 + 8 * test_random_unit(&seed), light[3] = {test_random_unit(&seed) - 0.5, 0, test_random_unit(&seed) - 0.5};
@@ -253,7 +294,6 @@ TEST(rays_over_rough_ground_to_a_light)
     CHECK(blocked_rays > traced / 8 && blocked_rays < traced - traced / 8);
     free(rays);
     packer_free(v);
-    free(codes);
 }
 
 /* Cameras in a voxel, on its faces, edges and corners, looking along axes, edges and diagonals, with the least and the largest field
