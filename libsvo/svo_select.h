@@ -53,12 +53,18 @@ typedef struct svo_selection {
 svo_result svo_select(const svo_scene *scene, const svo_select_options *options, svo_selection *out, svo_error *err);
 void svo_selection_free(svo_selection *s);
 
+/* How boxes become samples. BOXES: those whose rays meet the box. MIPMAPS (4.4): texels about half as wide as the box's rectangle, at the box's least depth: a few writes a box however
+ * large it looks, and at least the samples of BOXES, at most half a rectangle (and a sample) farther out. */
+typedef enum svo_draw_method { SVO_DRAW_BOXES, SVO_DRAW_MIPMAPS } svo_draw_method;
+
 /* Draw the boxes themselves (the thesis' direct output): for each sample of the picture the nearest box that its ray meets, and the depth along the view's axis.
  * owner, depth: width * height; UINT32_MAX and infinity where there is none. Of equal depths the lower number wins. */
-svo_result svo_select_draw(const svo_selection *s, const svo_select_options *options, uint32_t *owner, float *depth, svo_error *err);
+svo_result svo_select_draw(const svo_selection *s, const svo_select_options *options, svo_draw_method method, uint32_t *owner, float *depth, svo_error *err);
 
-/* A picture of the boxes, without shadows, with the options of svo_render (eye, size, samples, light, ambient, background). pixels as in svo_render. */
-svo_result svo_select_render(const svo_scene *scene, const svo_selection *s, const svo_render_options *o, uint8_t *pixels, uint64_t *covered, svo_error *err);
+/* A picture of the boxes, without shadows, with the options of svo_render (eye, size, samples, light, ambient, background). pixels as in svo_render. Boxes that cover a part only of what
+ * is behind them are always drawn as BOXES. seconds: of finding what is nearest; may be NULL, as may covered. */
+svo_result svo_select_render(const svo_scene *scene, const svo_selection *s, const svo_render_options *o, svo_draw_method method, uint8_t *pixels, uint64_t *covered, double *seconds,
+                             svo_error *err);
 
 #ifdef __cplusplus
 }

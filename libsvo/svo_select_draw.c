@@ -74,20 +74,21 @@ static svo_result draw_boxes(void *user, uint64_t begin, uint64_t end, uint32_t 
     return SVO_OK;
 }
 
-static svo_result find_nearest(drawing *d, const svo_allocator *a, svo_error *err)
+static svo_result find_nearest(drawing *d, svo_draw_method method, const svo_allocator *a, svo_error *err)
 {
     const uint64_t count = (uint64_t)d->look.width * d->look.height;
     d->nearest = svo_alloc(a, count, sizeof *d->nearest);
     if (d->nearest == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u samples", d->look.width, d->look.height);
     memset(d->nearest, 0xff, count * sizeof *d->nearest);
+    if (method == SVO_DRAW_MIPMAPS) return svoi_draw_mipmap(d->selection, d->cover, &d->look, d->threads, a, d->nearest, err);
     return svo_parallel_for(d->threads, d->selection->count, 0, draw_boxes, d, err);
 }
 
-svo_result svo_select_draw(const svo_selection *s, const svo_select_options *o, uint32_t *owner, float *depth, svo_error *err)
+svo_result svo_select_draw(const svo_selection *s, const svo_select_options *o, svo_draw_method method, uint32_t *owner, float *depth, svo_error *err)
 {
     const uint64_t count = (uint64_t)o->width * o->height;
     drawing d = {.selection = s, .look = svoi_look_make(&o->eye, o->width, o->height), .threads = o->threads};
-    svo_result result = find_nearest(&d, o->allocator, err);
+    svo_result result = find_nearest(&d, method, o->allocator, err);
     for (uint64_t i = 0; i < count && result == SVO_OK; i++) owner[i] = (uint32_t)d.nearest[i], depth[i] = depth_of(d.nearest[i]);
     svo_free(o->allocator, d.nearest, count, sizeof *d.nearest);
     return result;
@@ -327,7 +328,8 @@ static svo_result find_covers(const svo_scene *scene, const svo_selection *s, co
     return ok ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture");
 }
 
-svo_result svo_select_render(const svo_scene *scene, const svo_selection *selection, const svo_render_options *o, uint8_t *pixels, uint64_t *covered, svo_error *err)
+svo_result svo_select_render(const svo_scene *scene, const svo_selection *selection, const svo_render_options *o, svo_draw_method method, uint8_t *pixels, uint64_t *covered,
+                             double *seconds, svo_error *err)
 {
     const svo_allocator *a = o->allocator;
     const uint32_t width = o->width * o->samples, height = o->height * o->samples;
@@ -343,7 +345,9 @@ svo_result svo_select_render(const svo_scene *scene, const svo_selection *select
     if (result == SVO_OK && cover != NULL) d.count = svo_calloc(a, samples, sizeof *d.count);
     if (result == SVO_OK && (((d.color == NULL || d.emissive == NULL) && scene->asset_count != 0) || (cover != NULL && d.count == NULL)))
         result = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture");
-    if (result == SVO_OK) result = find_nearest(&d, a, err);
+    const double began = svo_seconds();
+    if (result == SVO_OK) result = find_nearest(&d, method, a, err);
+    if (seconds != NULL) *seconds = svo_seconds() - began;
     if (result == SVO_OK) result = cover != NULL ? shade_bands(&d, err) : svo_parallel_for(o->threads, o->height, 8, shade_rows, &d, err);
     if (result == SVO_OK && covered != NULL) *covered = count_covered(&d, samples);
     svo_free(a, d.nearest, samples, sizeof *d.nearest);

@@ -44,6 +44,10 @@ extern const uint8_t svoi_covers; /* coverage of a voxel that hides what is behi
  * caller, scene->asset_count; NULL without memory (or assets). *any: does one have it? */
 uint32_t *svoi_find_channels(const svo_scene *scene, const char *name, svo_channel_kind kind, const uint8_t *plain, const svo_allocator *a, bool *any);
 
+/* The nearest box of each sample by mipmaps: depth's bits, then the number of the box; UINT64_MAX, which all are set to before, where there is none. cover: of each box, those that do
+ * not hide what is behind them are left out; NULL: none. */
+svo_result svoi_draw_mipmap(const svo_selection *s, const uint8_t *cover, const svoi_look *look, uint32_t threads, const svo_allocator *a, uint64_t *nearest, svo_error *err);
+
 /* (*out)[i] is 1 where an earlier instance has the same asset, place and pose, so that i can never be seen. Freed by the caller: one byte an instance. */
 svo_result svoi_find_copies(const svo_scene *s, const svo_allocator *a, uint8_t **out, svo_error *err);
 

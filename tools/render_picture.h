@@ -3,6 +3,7 @@
 #define RENDER_PICTURE_H
 
 #include "cli.h"
+#include "render_pose.h"
 #include "svo_render.h"
 
 typedef struct picture_frames {
@@ -21,8 +22,8 @@ bool picture_is_exr(const char *path);
 bool picture_is_png(const char *path);
 
 /* Render and write all frames: to `path`, or with frames != NULL to numbered files beside it (a.png: a_0000.png ...). Nothing appears
- * of a picture that fails. *stats sums up. bvh NULL: boxes of deformed voxels at least `delta` samples wide, without rays. */
-svo_result picture_draw(cli *c, const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, double delta, const char *path, const picture_frames *frames,
+ * of a picture that fails. *stats sums up. bvh NULL: boxes of deformed voxels at least `boxes.delta` samples wide, without rays. */
+svo_result picture_draw(cli *c, const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, const char *path, const picture_frames *frames,
                         svo_render_stats *stats, uint64_t *bytes, svo_error *err);
 
 #endif

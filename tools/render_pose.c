@@ -149,7 +149,7 @@ static svo_result save_octree(cli *c, const svo_view *view, const char *path, co
 
 static json_t *report_selection(cli *c, const svo_select_report *r, int resample)
 {
-    static const char *const names[] = {"auto", "direct", "resize", "emit"};
+    static const char *const names[] = {"auto", "direct", "resize", "emit", "mipmap"};
     json_t *o = cli_section(c, "deformation");
     cli_put_text(o, "resample", names[resample]);
     cli_put_u64(o, "pages", r->pages);
@@ -186,18 +186,20 @@ static void report_unpose(cli *c, const svo_unpose_report *r, int resample)
 
 int choose_resample(int asked, bool shadows) { return asked != RESAMPLE_AUTO ? asked : shadows ? RESAMPLE_EMIT : RESAMPLE_DIRECT; }
 
-svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, double delta, uint8_t *pixels, svo_render_stats *stats, svo_error *err)
+svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, uint8_t *pixels, svo_render_stats *stats, svo_error *err)
 {
-    svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = delta, .everything = true,
+    svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = boxes.delta, .everything = true,
                                  .frustum = true, .occlusion = true, .threads = o->threads, .allocator = o->allocator};
     svo_selection selection;
     uint64_t covered = 0;
-    if (o->shadows) svo_warn(&c->warnings, "--resample direct draws no shadows: there is no octree to trace");
+    double seconds = 0;
+    if (o->shadows) svo_warn(&c->warnings, "--resample direct and mipmap draw no shadows: there is no octree to trace");
     cli_phase(c, "deform");
     SVO_TRY(svo_select(scene, &select, &selection, err));
-    report_selection(c, &selection.report, RESAMPLE_DIRECT);
+    json_t *report = report_selection(c, &selection.report, boxes.mipmap ? RESAMPLE_MIPMAP : RESAMPLE_DIRECT);
     cli_phase(c, "render");
-    svo_result r = svo_select_render(scene, &selection, o, pixels, &covered, err);
+    svo_result r = svo_select_render(scene, &selection, o, boxes.mipmap ? SVO_DRAW_MIPMAPS : SVO_DRAW_BOXES, pixels, &covered, &seconds, err);
+    cli_put_f64(report, "seconds_draw", seconds);
     svo_selection_free(&selection);
     memset(stats, 0, sizeof *stats);
     stats->primary = (uint64_t)o->width * o->height * o->samples * o->samples;

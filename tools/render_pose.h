@@ -16,7 +16,9 @@ typedef struct posing {
 } posing;
 
 /* The decision tree of figure 29: what --resample auto means here. */
-enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT };
+enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT, RESAMPLE_MIPMAP };
+typedef struct direct_boxes { double delta; bool mipmap; } direct_boxes;
+static inline bool draws_boxes(int resample) { return resample == RESAMPLE_DIRECT || resample == RESAMPLE_MIPMAP; }
 
 svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err);
 bool has_poses(const svo_scene *scene);
@@ -32,6 +34,6 @@ void posing_close(posing *p);
 int choose_resample(int asked, bool shadows);
 
 /* The picture of all instances by their boxes (--resample direct). */
-svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, double delta, uint8_t *pixels, svo_render_stats *stats, svo_error *err);
+svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, uint8_t *pixels, svo_render_stats *stats, svo_error *err);
 
 #endif

@@ -30,7 +30,7 @@ static struct {
 } ask = {.size = "1280x720", .background = "sky", .up = {0, 1, 0}, .light = {-0.45, 0.85, 0.65}, .fov = 40, .ambient = 0.35,
          .footprint = 1, .samples = 1, .delta = 1};
 
-static const char *const resamples[] = {"auto", "direct", "resize", "emit", NULL};
+static const char *const resamples[] = {"auto", "direct", "resize", "emit", "mipmap", NULL};
 
 static const cli_option options[] = {
     {"size", 0, CLI_TEXT, &ask.size, "WxH", "Picture in pixels, 1 to 65536 a side, at most 2^28 in all.", 0, 0, NULL, NULL, false, "Picture"},
@@ -52,7 +52,7 @@ static const cli_option options[] = {
     {"no-shadows", 0, CLI_FLAG, &ask.no_shadows, NULL, "Do not trace shadow rays.", 0, 0, NULL, NULL, false, "Light"},
     {"deform", 0, CLI_TEXT, &ask.deform, "D", "Deform every asset: twist=y:90, bend=yx:45, shear=xy:0.5, scale=1:2:1 (degrees; joined by commas), in place of its pose.", 0, 0,
      NULL, NULL, true, "Deformation"},
-    {"resample", 0, CLI_CHOICE, &ask.resample, "KIND", "How deformed voxels are drawn: cells of an octree of fixed (resize) or growing (emit) number, or as boxes (direct).", 0,
+    {"resample", 0, CLI_CHOICE, &ask.resample, "KIND", "How deformed voxels are drawn: cells of an octree of fixed (resize) or growing (emit) number, as boxes (direct), or as boxes by the texels of a mipmap (mipmap).", 0,
      0, resamples, NULL, false, "Deformation"},
     {"delta", 0, CLI_DOUBLE, &ask.delta, "S", "Take deformed nodes that are less than S samples wide.", 1e-3, 1e6, NULL, NULL, false, "Deformation"},
     {"save-svo", 0, CLI_TEXT, &ask.save_svo, "F", "Write the octree of deformed voxels as .svo.", 0, 0, NULL, NULL, true, "Deformation"},
@@ -231,14 +231,15 @@ static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_
     *direct = false;
     if (stated != NULL) SVO_TRY(pose_scene(p, scene, stated, matrix, o->allocator, err));
     bool everything = ask.save_svo != NULL && !has_poses(*scene); /* the octree of a scene without poses is that of all of it */
-    if (!has_poses(*scene) && !everything && ask.resample != RESAMPLE_DIRECT) return SVO_OK;
+    if (!has_poses(*scene) && !everything && !draws_boxes(ask.resample)) return SVO_OK;
     SVO_TRY(choose_camera(*scene, NULL, o, camera, err));
     *direct = true;
     svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = everything,
                                  .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
     const bool exr = picture_is_exr(c->output), octree = ask.save_svo != NULL || exr; /* these need more than boxes */
     int resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
-    if (resample == RESAMPLE_DIRECT) return ask.save_svo == NULL ? SVO_OK : svo_fail(err, SVO_INVALID_ARGUMENT, "--resample direct makes no octree for --save-svo");
+    if (draws_boxes(resample))
+        return ask.save_svo == NULL ? SVO_OK : svo_fail(err, SVO_INVALID_ARGUMENT, "--resample %s makes no octree for --save-svo", resamples[resample]);
     *direct = false;
     return unpose_scene(p, c, scene, &select, o, resample, exr, ask.save_svo, err);
 }
@@ -293,7 +294,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
         r = picture_turntable(&frames, &o->eye, svo_v3(0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]), vec(ask.up),
                               ask.turntable, a, err);
     } else if (ask.path != NULL) r = picture_path(&frames, ask.path, vec(ask.up), o->eye.yfov, a, err);
-    if (r == SVO_OK) r = picture_draw(c, bvh, scene, o, ask.delta, c->output, &frames, &stats, &bytes, err);
+    if (r == SVO_OK) r = picture_draw(c, bvh, scene, o, (direct_boxes){ask.delta, ask.resample == RESAMPLE_MIPMAP}, c->output, &frames, &stats, &bytes, err);
     cli_phase(c, NULL);
     if (r != SVO_OK) goto done;
     report_picture(c, o, &stats, camera, bytes);

@@ -73,7 +73,7 @@ static void draw(const svo_selection *s, const svo_select_options *o, uint64_t *
     static uint32_t owner[96 * 64];
     static float depth[96 * 64];
     svo_error err = {0};
-    CHECK_OK(svo_select_draw(s, o, owner, depth, &err));
+    CHECK_OK(svo_select_draw(s, o, SVO_DRAW_BOXES, owner, depth, &err));
     *shown = 0;
     for (uint32_t i = 0; i < 96 * 64; i++) *shown += owner[i] != UINT32_MAX;
 }

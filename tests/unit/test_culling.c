@@ -8,6 +8,7 @@
 #include "svo_morton.h"
 #include "svo_pack.h"
 #include "svo_resample.h"
+#include "svoi_select.h"
 #include "test.h"
 
 enum { ASSETS = 3, PLACES = 40 };
@@ -127,10 +128,10 @@ TEST(no_visible_box_is_lost_in_random_scenes)
                 o.frustum = o.occlusion = i > 0;
                 o.threads = 1 + (uint32_t)(test_random(&seed) % 3);
                 CHECK_OK(svo_select(svo_packed_scene_get(w.packed), &o, &s, &err));
-                CHECK_OK(svo_select_draw(&s, &o, owner, depth[i], &err));
+                CHECK_OK(svo_select_draw(&s, &o, SVO_DRAW_BOXES, owner, depth[i], &err));
                 svo_render_options ro = svo_default_render_options();
                 ro.width = W, ro.height = H, ro.samples = 1, ro.eye = o.eye, ro.shadows = false, ro.transparent = true, ro.threads = o.threads;
-                CHECK_OK(svo_select_render(svo_packed_scene_get(w.packed), &s, &ro, pixels[i], NULL, &err));
+                CHECK_OK(svo_select_render(svo_packed_scene_get(w.packed), &s, &ro, SVO_DRAW_BOXES, pixels[i], NULL, NULL, &err));
                 hidden += s.report.hidden;
                 svo_selection_free(&s);
             }
@@ -147,6 +148,47 @@ TEST(no_visible_box_is_lost_in_random_scenes)
     }
     CHECK_MSG(hidden > 2000 && shown > 30000 && glass > 500, "%llu nodes hidden, %llu samples, %llu seen through", (unsigned long long)hidden, (unsigned long long)shown,
               (unsigned long long)glass);
+}
+
+/* Mipmaps: every sample that a box covers is covered, no farther away; and no more than half a rectangle and a sample is added around it. */
+TEST(mipmaps_cover_boxes_and_little_more)
+{
+    enum { W = 70, H = 45 };
+    static float depth[2][W * H];
+    static uint32_t owner[2][W * H];
+    svo_error err = {0};
+    uint64_t seed = 5, shown = 0, added = 0;
+    for (int round = 0; round < 20; round++) {
+        world w;
+        world_make(&w, &seed);
+        for (int view = 0; view < 3 && !test_failed(); view++) {
+            svo_select_options o = {.width = W, .height = H, .delta = between(&seed, 0.6, 5), .everything = true, .frustum = true, .occlusion = view == 0};
+            svo_selection s;
+            if (!random_eye(&seed, &o.eye)) continue;
+            CHECK_OK(svo_select(svo_packed_scene_get(w.packed), &o, &s, &err));
+            CHECK_OK(svo_select_draw(&s, &o, SVO_DRAW_BOXES, owner[0], depth[0], &err));
+            o.threads = 1 + (uint32_t)(test_random(&seed) % 3);
+            CHECK_OK(svo_select_draw(&s, &o, SVO_DRAW_MIPMAPS, owner[1], depth[1], &err));
+            const svoi_look look = svoi_look_make(&o.eye, W, H);
+            for (uint32_t i = 0; i < W * H; i++) {
+                const double x = i % W + 0.5, y = i / W + 0.5;
+                shown += isfinite(depth[0][i]) != 0;
+                CHECK_MSG(depth[1][i] <= depth[0][i], "round %d, view %d, sample %u: a box at %g, a texel at %g", round, view, i, (double)depth[0][i], (double)depth[1][i]);
+                if (owner[1][i] == UINT32_MAX) continue;
+                added += owner[0][i] == UINT32_MAX;
+                double low[3], high[3];
+                for (int k = 0; k < 3; k++) low[k] = s.boxes[owner[1][i]].low[k], high[k] = s.boxes[owner[1][i]].high[k];
+                const svoi_rect r = svoi_project(&look, low, high);
+                if (r.near <= 0) continue;
+                const double room = fmax(0.5 * fmax(r.x1 - r.x0, r.y1 - r.y0), 0) + 1.5;
+                CHECK_MSG(x > r.x0 - room && x < r.x1 + room && y > r.y0 - room && y < r.y1 + room, "round %d, view %d, sample %u is far from its box", round, view, i);
+            }
+            svo_selection_free(&s);
+        }
+        world_free(&w);
+        if (test_failed()) return;
+    }
+    CHECK_MSG(shown > 20000 && added > 100 && added < shown, "%llu samples shown, %llu added", (unsigned long long)shown, (unsigned long long)added);
 }
 
 /* Cells: where a ray hits something without culling, it hits something with it, and no farther away. (Cells of what is left may be finer than before: the octree's
@@ -238,7 +280,7 @@ TEST(the_order_of_pages_does_not_matter)
                 svo_unposed *unposed;
                 o.threads = 1 + (uint32_t)i;
                 CHECK_OK(svo_select(scenes[i], &o, &s, &err));
-                CHECK_OK(svo_select_draw(&s, &o, owner[i], depth[i], &err));
+                CHECK_OK(svo_select_draw(&s, &o, SVO_DRAW_BOXES, owner[i], depth[i], &err));
                 for (uint32_t k = 0; k < W * H; k++)
                     if (owner[i][k] != UINT32_MAX) owner[i][k] = (uint32_t)scenes[i]->instance_id[s.boxes[owner[i][k]].instance];
                 svo_selection_free(&s);

@@ -539,7 +539,7 @@ TEST(culling_loses_nothing_that_is_seen)
             o.threads = i == 2 ? 3 : 1;
             depth[i] = malloc(4 * samples);
             CHECK_OK(svo_select(&c.scene, &o, &s[i], &err));
-            CHECK_OK(svo_select_draw(&s[i], &o, owner, depth[i], &err));
+            CHECK_OK(svo_select_draw(&s[i], &o, SVO_DRAW_BOXES, owner, depth[i], &err));
         }
         for (uint64_t i = 0; i < samples; i++) shown += isfinite(depth[0][i]) != 0;
         CHECK(shown > samples / 4);

@@ -98,7 +98,7 @@ static void draw_direct(const window *w, uint8_t *pixels)
     svo_selection s;
     uint64_t covered = 0;
     CHECK_OK(svo_select(&w->scene, &o, &s, &err));
-    CHECK_OK(svo_select_render(&w->scene, &s, &w->look, pixels, &covered, &err));
+    CHECK_OK(svo_select_render(&w->scene, &s, &w->look, SVO_DRAW_BOXES, pixels, &covered, NULL, &err));
     CHECK_MSG(covered == W * H, "%llu of %d samples covered", (unsigned long long)covered, W * H);
     svo_selection_free(&s);
 }
@@ -158,7 +158,7 @@ TEST(the_ends_of_the_range)
         svo_selection boxes;
         uint64_t covered = 0;
         CHECK_OK(svo_select(&w.scene, &o, &boxes, &err));
-        CHECK_OK(svo_select_render(&w.scene, &boxes, &w.look, pixels, &covered, &err));
+        CHECK_OK(svo_select_render(&w.scene, &boxes, &w.look, end == 0 ? SVO_DRAW_BOXES : SVO_DRAW_MIPMAPS, pixels, &covered, NULL, &err));
         CHECK(covered == (end == 0 ? 0 : W * H));
         for (int k = 0; k < W * H; k++) CHECK(pixels[4 * k + 3] == (end == 0 ? 0 : 255));
         svo_selection_free(&boxes);
