@@ -1,6 +1,10 @@
 /* Packed values: flags of change, codes of recent values, differences in groups of eight. */
 #include <string.h>
 
+#ifdef __BMI2__
+#include <immintrin.h>
+#endif
+
 #include "fmti_svo.h"
 #include "fmti_svo_values.h"
 
@@ -77,11 +81,15 @@ static inline void load_word(const uint8_t *values, const uint32_t stride, bool 
 static inline uint64_t bits_of(const uint8_t set[WORD])
 {
     uint64_t bits = 0;
+#ifdef __BMI2__
+    for (uint32_t i = 0; i < WORD / 16; i++) bits |= (uint64_t)(uint32_t)_mm_movemask_epi8(_mm_slli_epi16(_mm_loadu_si128((const __m128i *)(const void *)(set + 16 * i)), 7)) << 16 * i;
+#else
     for (uint32_t i = 0; i < WORD / 8; i++) {
         uint64_t eight;
         memcpy(&eight, set + 8 * i, sizeof eight);
         bits |= (eight * 0x0102040810204080u >> 56) << 8 * i;
     }
+#endif
     return bits;
 }
 
@@ -181,24 +189,30 @@ static uint64_t find_codes(const uint32_t *changes /* from -1 on */, uint64_t co
     return n;
 }
 
-/* Differences of one component, small ones of both signs to small numbers. */
-static void find_differences(const shape *s, uint32_t component, const uint32_t *plain, const uint32_t *before, uint64_t count, uint16_t *out)
+/* Small numbers of both signs to small numbers. */
+static inline uint8_t fold8(uint32_t d) { return (uint8_t)(d << 1 ^ (0 - (d >> 7 & 1))); }
+static inline uint16_t fold16(uint32_t d) { return (uint16_t)(d << 1 ^ (0 - (d >> 15 & 1))); }
+
+/* Differences of all components, folded: in bytes, or in numbers of 16 bits. Component k is at out[k]. */
+static void find_differences8(const shape *s, const uint32_t *restrict plain, const uint32_t *restrict before, uint64_t count, uint8_t *const out[3])
 {
-    if (s->bits == 16) {
-        const uint32_t shift = 16 * component;
-        for (uint64_t i = 0; i < count; i++) {
-            uint16_t d = (uint16_t)((plain[i] >> shift) - (before[i] >> shift));
-            out[i] = (uint16_t)(d << 1 ^ (0 - (d >> 15)));
-        }
+    uint8_t *restrict first = out[0], *restrict second = out[1], *restrict third = out[2];
+    if (s->components == 1) {
+        for (uint64_t i = 0; i < count; i++) first[i] = fold8(plain[i] - before[i]);
         return;
     }
-    /* the component that comes first, and the one it is taken from (itself: nothing) */
-    const uint32_t shift = s->components == 1 ? 0 : component == 0 ? 8 : component == 1 ? 0 : 16;
-    const uint32_t mask = s->components == 1 || component == 0 ? 0 : 0xff;
     for (uint64_t i = 0; i < count; i++) {
-        const uint32_t d = (plain[i] >> shift) - (before[i] >> shift), g = (plain[i] >> 8) - (before[i] >> 8), e = (d - (g & mask)) & 0xff;
-        out[i] = (uint16_t)((e << 1 ^ (0 - (e >> 7))) & 0xff);
+        const uint32_t a = plain[i], b = before[i], g = (a >> 8) - (b >> 8);
+        first[i] = fold8(g);
+        second[i] = fold8(a - b - g);
+        third[i] = fold8((a >> 16) - (b >> 16) - g);
     }
+}
+static void find_differences16(const shape *s, const uint32_t *restrict plain, const uint32_t *restrict before, uint64_t count, uint16_t *const out[2])
+{
+    uint16_t *restrict first = out[0], *restrict second = out[1];
+    for (uint64_t i = 0; i < count; i++) first[i] = fold16(plain[i] - before[i]);
+    for (uint64_t i = 0; s->components == 2 && i < count; i++) second[i] = fold16((plain[i] >> 16) - (before[i] >> 16));
 }
 
 static inline uint64_t load64(const void *p)
@@ -208,11 +222,25 @@ static inline uint64_t load64(const void *p)
     return v;
 }
 
-/* Four numbers of w bits in lanes of 16 to 4 w bits, and back. */
+/* Four numbers of w bits in lanes of 16, or eight in lanes of 8, to 4 w (8 w) bits, and four back. */
 static inline uint64_t squeeze(uint64_t x, uint32_t w)
 {
+#ifdef __BMI2__
+    return _pext_u64(x, 0x0001000100010001u * (((uint64_t)1 << w) - 1));
+#else
     const uint64_t pairs = (x & 0x0000ffff0000ffffu) | (x >> 16 & 0x0000ffff0000ffffu) << w;
     return (pairs & 0xffffffffu) | pairs >> 32 << 2 * w;
+#endif
+}
+static inline uint64_t squeeze_bytes(uint64_t x, uint32_t w)
+{
+#ifdef __BMI2__
+    return _pext_u64(x, 0x0101010101010101u * (((uint64_t)1 << w) - 1));
+#else
+    const uint64_t twos = (x & 0x00ff00ff00ff00ffu) | (x >> 8 & 0x00ff00ff00ff00ffu) << w;
+    const uint64_t fours = (twos & 0x0000ffff0000ffffu) | (twos >> 16 & 0x0000ffff0000ffffu) << 2 * w;
+    return (fours & 0xffffffffu) | fours >> 32 << 4 * w;
+#endif
 }
 static inline uint64_t stretch(uint64_t x, uint32_t w)
 {
@@ -221,17 +249,18 @@ static inline uint64_t stretch(uint64_t x, uint32_t w)
     return (pairs & one) | (pairs >> w & one) << 16;
 }
 
+static inline uint32_t bits_in(uint64_t any) { return any != 0 ? 64 - (uint32_t)__builtin_clzll(any) : 0; }
+
 static inline uint32_t width_of(const uint16_t *group)
 {
     uint64_t any = load64(group) | load64(group + 4);
     any |= any >> 32;
-    any = (any | any >> 16) & 0xffff;
-    const uint32_t w = any != 0 ? 64 - (uint32_t)__builtin_clzll(any) : 0;
+    const uint32_t w = bits_in((any | any >> 16) & 0xffff);
     return w < 15 ? w : 16;
 }
 
 /* Differences (filled up to a multiple of GROUP) to widths of 4 bits and packed groups. Returns the end. */
-static uint8_t *pack(const uint16_t *d, uint64_t count, uint8_t *widths, uint8_t *out)
+static uint8_t *pack16(const uint16_t *d, uint64_t count, uint8_t *widths, uint8_t *out)
 {
     const uint64_t groups = (count + GROUP - 1) / GROUP;
     memset(widths, 0, (size_t)((groups + 1) / 2));
@@ -243,6 +272,23 @@ static uint8_t *pack(const uint16_t *d, uint64_t count, uint8_t *widths, uint8_t
         memcpy(out, &first, 8);
         memcpy(out + 8, &second, 8);
         out += w;
+    }
+    return out;
+}
+/* The same for bytes, of which a group of eight is no more than one word. Two groups at a time: `d` is filled up to a multiple of two. */
+static uint8_t *pack8(const uint8_t *d, uint64_t count, uint8_t *widths, uint8_t *out)
+{
+    const uint64_t groups = (count + GROUP - 1) / GROUP;
+    for (uint64_t g = 0; g < groups; g += 2, d += 2 * GROUP) {
+        const uint64_t a = load64(d), b = load64(d + GROUP);
+        uint64_t any_a = a | a >> 32, any_b = b | b >> 32;
+        any_a |= any_a >> 16, any_b |= any_b >> 16;
+        const uint32_t w = bits_in((any_a | any_a >> 8) & 0xff), v = bits_in((any_b | any_b >> 8) & 0xff);
+        const uint64_t first = squeeze_bytes(a, w), second = squeeze_bytes(b, v);
+        *widths++ = (uint8_t)(w | v << 4);
+        memcpy(out, &first, 8);
+        memcpy(out + w, &second, 8);
+        out += w + v;
     }
     return out;
 }
@@ -270,8 +316,8 @@ static uint8_t *store_flags(const uint64_t *flags, uint64_t count, uint8_t *out)
 svo_result fmti_values_encode(svo_channel_kind kind, const uint8_t *values, uint64_t count, const svo_allocator *a, svo_buffer *to, svo_error *err)
 {
     const shape s = shape_of(kind);
-    /* flags; changes; plain, before, differences; codes */
-    const uint64_t words = (count + 63) / 64, room = count + GROUP, scratch_size = 8 * words + 4 * (count + 2) + 8 * room + 2 * room + count;
+    /* flags; changes; plain, before; differences; codes */
+    const uint64_t words = (count + 63) / 64, room = count + 2 * GROUP, scratch_size = 8 * words + 4 * (count + 2) + 8 * room + 4 * room + count;
     const uint64_t most = 1 + words + 8 * words + count / 2 + 1 + s.components * (count / GROUP / 2 + 2 + 2 * room) + SLACK;
     uint8_t *scratch = svo_alloc(a, scratch_size, 1);
     if (scratch == NULL || !svo_buffer_reserve(to, (size_t)most)) {
@@ -280,8 +326,7 @@ svo_result fmti_values_encode(svo_channel_kind kind, const uint8_t *values, uint
     }
     uint64_t *flags = (uint64_t *)(void *)scratch;
     uint32_t *changes = (uint32_t *)(void *)(flags + words), *plain = changes + count + 2, *before = plain + room;
-    uint16_t *differences = (uint16_t *)(void *)(before + room);
-    uint8_t *codes = (uint8_t *)(differences + room), *out = to->data + to->size;
+    uint8_t *differences = (uint8_t *)(before + room), *codes = differences + 4 * room, *out = to->data + to->size; /* differences: up to 3 bytes, or 2 words, a value */
     const uint64_t n = find_changes_of(s.stride, values, count, flags, changes);
     uint64_t m = n;
     const uint32_t *from = changes + 1, *last = changes;
@@ -293,10 +338,15 @@ svo_result fmti_values_encode(svo_channel_kind kind, const uint8_t *values, uint
         from = plain, last = before;
         for (uint64_t i = 0; i < n; i += 2) *out++ = (uint8_t)(codes[i] | (i + 1 < n ? codes[i + 1] : 0) << 4);
     }
+    const uint64_t width_bytes = ((m + GROUP - 1) / GROUP + 1) / 2;
+    uint8_t *const byte[3] = {differences, differences + room, differences + 2 * room};
+    uint16_t *const word[2] = {(uint16_t *)(void *)differences, (uint16_t *)(void *)differences + room};
+    if (s.bits == 8) find_differences8(&s, from, last, m, byte);
+    else find_differences16(&s, from, last, m, word);
     for (uint32_t k = 0; k < s.components; k++) {
-        find_differences(&s, k, from, last, m, differences);
-        memset(differences + m, 0, GROUP * sizeof *differences);
-        out = pack(differences, m, out, out + ((m + GROUP - 1) / GROUP + 1) / 2);
+        if (s.bits == 8) memset(byte[k] + m, 0, 2 * GROUP);
+        else memset(word[k] + m, 0, GROUP * sizeof **word);
+        out = s.bits == 8 ? pack8(byte[k], m, out, out + width_bytes) : pack16(word[k], m, out, out + width_bytes);
     }
     to->size = (size_t)(out - to->data);
     svo_free(a, scratch, scratch_size, 1);

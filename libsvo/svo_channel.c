@@ -41,6 +41,8 @@ static inline uint8_t encode_srgb(uint32_t bits)
     return (uint8_t)((step >> 17) + ((bits & 0xffff) >= (step & 0x1ffff)));
 }
 
+const uint32_t *svoi_srgb_steps(void) { return svoi_srgb_step; }
+
 uint8_t svo_linear_to_srgb(float v) { return encode_srgb(srgb_bits(v)); }
 
 void svoi_linear_to_srgb(const float *v, uint64_t count, uint8_t *out)

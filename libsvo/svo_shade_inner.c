@@ -7,6 +7,7 @@
 #include "svo_morton.h"
 #include "svoi_lanes.h"
 #include "svoi_shade.h"
+#include "svoi_shade_wide.h"
 
 /* A triangle with less area than this (in voxels, seen along its axis) has too few inner voxels to make a table for. */
 static const double least_area = 24;
@@ -219,8 +220,12 @@ void svoi_inner_values(const svo_shader *s, svo_facet *t, const svoi_inner *in, 
     const svo_shade_layout *layout = &s->layout;
     const uint32_t n = (l->count + 7) & ~7u;
     float texel[4][SVOI_LANES];
-    svoi_lanes_place(t, l);
-    find_centroids(t, in, n, l);
+    if (svoi_clip_has_wide()) {
+        svoi_wide_places(t, in, l);
+    } else {
+        svoi_lanes_place(t, l);
+        find_centroids(t, in, n, l);
+    }
     if (layout->color < SVO_MAX_CHANNELS) {
         if (m->base != NULL) svoi_inner_read(&in->texture[BASE], &m->m.base_color_texture, m->base, l, texel);
         for (int k = 0; k < 3; k++) {

@@ -5,6 +5,7 @@
 
 #include "svoi_channel.h"
 #include "svoi_shade.h"
+#include "svoi_shade_wide.h"
 
 /* --- where -------------------------------------------------------------------------------------------------------- */
 
@@ -391,20 +392,37 @@ static void encode_normals(const float *x, const float *y, const float *z, uint3
     }
 }
 
+enum { BEHIND = 64 }; /* bytes that may be read behind values */
+
 static void write_normals(const svoi_lanes *l, const uint32_t *index, uint32_t count, uint8_t *out)
 {
-    uint32_t bytes[SVOI_LANES];
+    uint32_t bytes[SVOI_LANES + BEHIND / 4];
     if (l->one_normal) {
         encode_normals(l->normal[0], l->normal[1], l->normal[2], 1, bytes);
+        if (svoi_clip_has_wide()) {
+            for (uint32_t i = 1; i < count; i++) bytes[i] = bytes[0];
+            svoi_wide_put((const uint8_t *)bytes, 4, index, count, out);
+            return;
+        }
         for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], &bytes[0], 4);
         return;
     }
     encode_normals(l->normal[0], l->normal[1], l->normal[2], rounded(count), bytes);
+    if (svoi_clip_has_wide()) {
+        svoi_wide_put((const uint8_t *)bytes, 4, index, count, out);
+        return;
+    }
     for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], &bytes[i], 4);
 }
 
 static void write_colors(float (*color)[SVOI_LANES], const uint32_t *index, uint32_t count, uint8_t *out)
 {
+    if (svoi_clip_has_wide()) {
+        uint8_t pixels[3 * SVOI_LANES + BEHIND];
+        svoi_wide_colors(svoi_srgb_steps(), color[0], color[1], color[2], count, pixels);
+        svoi_wide_put(pixels, 3, index, count, out);
+        return;
+    }
     uint8_t bytes[3][SVOI_LANES];
     for (int k = 0; k < 3; k++) svoi_linear_to_srgb(color[k], count, bytes[k]);
     for (uint32_t i = 0; i < count; i++) {

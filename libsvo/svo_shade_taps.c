@@ -202,6 +202,14 @@ void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svo
         uint32_t same = 0;
         while (out->plan[same].level != n->level || out->plan[same].along != n->along || out->plan[same].across != n->across) same++;
         out->shape[k] = (uint8_t)same;
+        out->alike[k] = 0;
+        out->alike[same] |= (uint32_t)1 << k;
+        const float along = 0.5f * (float)(n->along - 1), across = 0.5f * (float)(n->across - 1);
+        out->back_x[k] = along * n->step[0] + across * n->side[0], out->back_y[k] = along * n->step[1] + across * n->side[1];
+        /* and a little, for rounding */
+        out->reach_x[k] = fabsf(n->step[0]) * along + fabsf(n->side[0]) * across + 0.01f, out->reach_y[k] = fabsf(n->step[1]) * along + fabsf(n->side[1]) * across + 0.01f;
+        out->step_x[k] = n->step[0], out->step_y[k] = n->step[1];
+        out->side_x[k] = n->side[0], out->side_y[k] = n->side[1];
     }
 }
 
@@ -215,6 +223,7 @@ typedef struct tap_lanes {
     float fx[SVOI_LANES], fy[SVOI_LANES];
     pair sum[SVOI_LANES];
 } tap_lanes;
+
 
 /* Two texels of one level, wherever they are: as load_pair gives them. */
 static void load_two(const svo_pyramid *p, uint32_t level, uint64_t left, uint64_t right, pair *out)
@@ -263,10 +272,6 @@ static void mean_around(const svo_pyramid *p, const plan *n, float x0, float y0,
 static void add_taps(const svo_pyramid *p, uint32_t level, tap_lanes *t)
 {
     const uint32_t w = p->width[level], count = t->count;
-    if (p->texels[level] != NULL && !p->outside && svoi_clip_has_wide()) {
-        svoi_wide_taps(p->texels[level], w, t->texel, t->fx, t->fy, (count + 7) & ~7u, (float *)t->sum);
-        return;
-    }
     for (uint32_t k = 0; p->outside && k < count; k++) touch(p, level, t->texel[k]);
     for (uint32_t k = 0; k < count; k++) {
         const float fx = t->fx[k], rx = 1 - fx;
@@ -403,86 +408,79 @@ static void find_middles(const svoi_inner_texture *f, const svo_texture *how, co
     }
 }
 
-/* How far a footprint's readings reach from its middle. */
-static inline void reach_of(const plan *n, float *x, float *y)
+/* The lanes whose plans have the shape of `first`: which have all readings inside the level, which all less than a period away? */
+static svoi_sorted_lanes sort_lanes(const svoi_inner_texture *f, const svoi_lanes *l, uint32_t first, const float *cx, const float *cy, float width, float height)
 {
-    const float along = 0.5f * (float)(n->along - 1), across = 0.5f * (float)(n->across - 1);
-    *x = fabsf(n->step[0]) * along + fabsf(n->side[0]) * across + 0.01f;
-    *y = fabsf(n->step[1]) * along + fabsf(n->side[1]) * across + 0.01f;
+    if (svoi_clip_has_wide()) return svoi_wide_sort(f, l, f->alike[first], cx, cy, width, height);
+    svoi_sorted_lanes r = {0, 0, 0};
+    for (uint32_t i = 0; i < l->count; i++) {
+        const uint32_t step = l->step[i];
+        if (f->shape[step] != first) continue;
+        const float x = cx[i], y = cy[i], ex = f->reach_x[step], ey = f->reach_y[step];
+        const uint64_t bit = (uint64_t)1 << i;
+        if (x - ex > 0 && y - ey > 0 && x + ex < width - 1 && y + ey < height - 1) r.inside |= bit;
+        else if (ex + 1 < width && ey + 1 < height) r.near |= bit;
+        else r.far |= bit;
+    }
+    return r;
 }
 
-/* All lanes with one plan. True when every reading was inside the level. */
-static bool read_alike(const svo_pyramid *p, const plan *n, const float *cx, const float *cy, uint32_t count, float (*out)[SVOI_LANES])
+/* Those inside the level. */
+static void read_inside(const svoi_inner_texture *f, const svo_pyramid *p, const svoi_lanes *l, const plan *shape, uint64_t lanes, const float *cx, const float *cy, float (*out)[SVOI_LANES])
 {
-    const uint32_t filled = (count + 7) & ~7u;
-    const float along = 0.5f * (float)(n->along - 1), across = 0.5f * (float)(n->across - 1), right = (float)p->width[n->level] - 1, bottom = (float)p->height[n->level] - 1;
-    const float x0 = along * n->step[0] + across * n->side[0], y0 = along * n->step[1] + across * n->side[1];
-    float ex, ey;
-    int32_t outside = 0;
-    reach_of(n, &ex, &ey);
-    for (uint32_t i = 0; i < filled; i++) outside |= !((cx[i] - ex > 0) & (cy[i] - ey > 0) & (cx[i] + ex < right) & (cy[i] + ey < bottom));
-    if (outside) return false;
+    float mean[4][SVOI_LANES];
     tap_lanes t;
-    t.count = count;
-    for (uint32_t i = 0; i < filled; i++) {
-        t.x[i] = cx[i] - x0, t.y[i] = cy[i] - y0;
-        t.step_x[i] = n->step[0], t.step_y[i] = n->step[1];
-        t.side_x[i] = n->side[0], t.side_y[i] = n->side[1];
-        t.sum[i] = (pair){0};
+    t.count = 0;
+    for (uint64_t rest = lanes; rest != 0; rest &= rest - 1) {
+        const uint32_t i = (uint32_t)__builtin_ctzll(rest), k = t.count++, step = l->step[i];
+        t.lane[k] = (uint8_t)i;
+        t.x[k] = cx[i] - f->back_x[step], t.y[k] = cy[i] - f->back_y[step];
+        t.step_x[k] = f->step_x[step], t.step_y[k] = f->step_y[step];
+        t.side_x[k] = f->side_x[step], t.side_y[k] = f->side_y[step];
     }
-    read_taps(p, n, &t);
-    store_means(&t, unit(p, n->level) / (float)(n->along * n->across), out);
-    return true;
+    const uint32_t filled = (t.count + 7) & ~7u;
+    for (uint32_t k = t.count; k < filled; k++) t.x[k] = t.y[k] = t.step_x[k] = t.step_y[k] = t.side_x[k] = t.side_y[k] = 0;
+    memset(t.sum, 0, filled * sizeof *t.sum);
+    read_taps(p, shape, &t);
+    store_means(&t, unit(p, shape->level) / (float)(shape->along * shape->across), mean);
+    for (int c = 0; c < 3; c++)
+        for (uint32_t k = 0; k < t.count; k++) out[c][t.lane[k]] = mean[c][k];
 }
 
 /* The lanes whose plans have the shape of `first`. */
-static void read_shape(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, uint32_t first, bool alike, float (*out)[SVOI_LANES])
+static void read_shape(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, uint32_t first, float (*out)[SVOI_LANES])
 {
     const plan *shape = &f->plan[first];
-    float cx[SVOI_LANES], cy[SVOI_LANES], mean[4][SVOI_LANES];
-    find_middles(f, how, p, l, shape->level, cx, cy);
-    if (alike && read_alike(p, shape, cx, cy, l->count, out)) return;
-    const float along = 0.5f * (float)(shape->along - 1), across = 0.5f * (float)(shape->across - 1), width = (float)p->width[shape->level], height = (float)p->height[shape->level];
-    tap_lanes t;
-    t.count = 0;
-    for (uint32_t i = 0; i < l->count; i++) {
-        const plan *n = &f->plan[l->step[i]];
-        if (f->shape[l->step[i]] != first) continue;
-        float ex, ey;
-        reach_of(n, &ex, &ey);
-        const float x = cx[i], y = cy[i], x0 = x - (along * n->step[0] + across * n->side[0]), y0 = y - (along * n->step[1] + across * n->side[1]);
-        if (!(x - ex > 0 && y - ey > 0 && x + ex < width - 1 && y + ey < height - 1)) {
-            float texel[4];
-            read_edge(how, p, n, x0, y0, ex + 1 < width && ey + 1 < height, texel);
-            for (int c = 0; c < 4; c++) out[c][i] = texel[c];
-            continue;
-        }
-        const uint32_t k = t.count++;
-        t.lane[k] = (uint8_t)i;
-        t.x[k] = x0, t.y[k] = y0;
-        t.step_x[k] = n->step[0], t.step_y[k] = n->step[1];
-        t.side_x[k] = n->side[0], t.side_y[k] = n->side[1];
-        t.sum[k] = (pair){0};
+    const uint32_t level = shape->level, w = p->width[level], h = p->height[level];
+    float cx[SVOI_LANES], cy[SVOI_LANES];
+    find_middles(f, how, p, l, level, cx, cy);
+    const bool wide = svoi_clip_has_wide() && p->texels[level] != NULL && !p->outside, repeats = how->wrap_u == SVO_WRAP_REPEAT && how->wrap_v == SVO_WRAP_REPEAT;
+    const float scale = unit(p, level) / (float)(shape->along * shape->across);
+    svoi_sorted_lanes of = sort_lanes(f, l, first, cx, cy, (float)w, (float)h);
+    if (wide) {
+        if (of.inside != 0) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.inside, false, cx, cy, scale, out);
+        if (of.near != 0 && repeats) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.near, true, cx, cy, scale, out);
+        if (repeats) of.near = 0;
+    } else if (of.inside != 0) {
+        read_inside(f, p, l, shape, of.inside, cx, cy, out);
     }
-    if (t.count == 0) return;
-    for (uint32_t k = t.count; k % 8 != 0; k++) t.x[k] = t.y[k] = t.step_x[k] = t.step_y[k] = t.side_x[k] = t.side_y[k] = 0, t.sum[k] = (pair){0};
-    read_taps(p, shape, &t);
-    store_means(&t, unit(p, shape->level) / (float)(shape->along * shape->across), mean);
-    for (int c = 0; c < 4; c++)
-        for (uint32_t k = 0; k < t.count; k++) out[c][t.lane[k]] = mean[c][k];
+    for (uint64_t rest = of.near | of.far; rest != 0; rest &= rest - 1) {
+        const uint32_t i = (uint32_t)__builtin_ctzll(rest), step = l->step[i];
+        float texel[4];
+        read_edge(how, p, &f->plan[step], cx[i] - f->back_x[step], cy[i] - f->back_y[step], of.near >> i & 1, texel);
+        for (int c = 0; c < 3; c++) out[c][i] = texel[c];
+    }
 }
 
 void svoi_inner_read(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES])
 {
-    uint32_t shapes = 0, steps = 0; /* bits of those that are there */
-    for (uint32_t i = 0; i < l->count; i++) shapes |= (uint32_t)1 << f->shape[l->step[i]], steps |= (uint32_t)1 << l->step[i];
+    uint32_t steps = 0; /* bits of those that are there */
+    for (uint32_t i = 0; i < l->count; i++) steps |= (uint32_t)1 << l->step[i];
     for (uint32_t i = l->count; i % 8 != 0; i++)
-        for (int c = 0; c < 4; c++) out[c][i] = 0;
-    const bool one = (shapes & (shapes - 1)) == 0;
-    for (; shapes != 0; shapes &= shapes - 1) {
-        const uint32_t first = (uint32_t)__builtin_ctz(shapes);
-        /* where one reading is enough there are no steps between them */
-        const bool alike = one && ((steps & (steps - 1)) == 0 ? steps == (uint32_t)1 << first : f->plan[first].along * f->plan[first].across == 1);
-        read_shape(f, how, p, l, first, alike, out);
+        for (int c = 0; c < 3; c++) out[c][i] = 0;
+    while (steps != 0) {
+        const uint32_t first = f->shape[__builtin_ctz(steps)];
+        read_shape(f, how, p, l, first, out);
+        steps &= ~f->alike[first];
     }
 }

@@ -63,6 +63,7 @@ void svoi_clip_areas(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count);
 /* The two are one of these, by what the processor can. The same to the bit. */
 typedef enum svoi_clip_parts { SVOI_CLIP_AREAS, SVOI_CLIP_CENTRES, SVOI_CLIP_MOMENTS } svoi_clip_parts; /* what is found, each with what is before it */
 bool svoi_clip_has_wide(void);
+void svoi_clip_hold_back(bool held); /* say that it is not there, in tests: while no other thread runs */
 void svoi_clip_wide(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, svoi_clip_parts want); /* only where it is there */
 void svoi_clip_narrow(const svoi_clipper *c, svoi_clip_batch *b, uint32_t count, svoi_clip_parts want);
 

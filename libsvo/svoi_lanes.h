@@ -19,16 +19,23 @@ typedef struct svoi_tap_plan { uint32_t level, along, across; float step[2], sid
 /* Voxels that no edge of the triangle reaches: what the plane leaves of the column depends on its height over the voxel's centre alone. So
  * centroids come from a table by that height (and those below the centre from their mirror images), and so do the ways to read textures. Values
  * are linear functions of the place, at + dx * per_x + dy * per_y from a base in the block. */
-enum { SVOI_INNER_STEPS = 16 };
+enum { SVOI_INNER_STEPS = 16, SVOI_INNER_ROWS = 32 }; /* rows that vector code reads */
 typedef struct svoi_inner_texture {
     float at[2], per_x[2], per_y[2]; /* texel coordinates of the image */
     uint8_t shape[SVOI_INNER_STEPS + 1];             /* by step: the first step with the same triple */
+    uint32_t alike[SVOI_INNER_STEPS + 1];            /* of such a first step: a bit for each step with its shape */
     svoi_tap_plan plan[SVOI_INNER_STEPS + 1];
+    /* of the plans, by step: from the middle back to the first reading, how far readings reach from the middle, and steps */
+    float back_x[SVOI_INNER_ROWS], back_y[SVOI_INNER_ROWS], reach_x[SVOI_INNER_ROWS], reach_y[SVOI_INNER_ROWS];
+    float step_x[SVOI_INNER_ROWS], step_y[SVOI_INNER_ROWS], side_x[SVOI_INNER_ROWS], side_y[SVOI_INNER_ROWS];
 } svoi_inner_texture;
+
+/* Inner voxels that are read with one shape, a bit each: all readings inside the level, all less than a period away, others. */
+typedef struct svoi_sorted_lanes { uint64_t inside, near, far; } svoi_sorted_lanes;
 typedef struct svoi_inner {
     uint32_t steps;                                  /* rows of the table: 1 where the plane is level */
     float from, per_height;                          /* height at which something is cut away; rows by height */
-    float x[SVOI_INNER_STEPS + 2], y[SVOI_INNER_STEPS + 2];    /* centroid from the voxel's centre */
+    float x[SVOI_INNER_ROWS], y[SVOI_INNER_ROWS];    /* centroid from the voxel's centre */
     float xx[SVOI_INNER_STEPS + 1], xy[SVOI_INNER_STEPS + 1], yy[SVOI_INNER_STEPS + 1]; /* covariances */
     float base[2];
     float normal[3][3], color[3][3];                 /* component; at, per_x, per_y */
@@ -65,7 +72,7 @@ bool svoi_inner_brick(const svo_facet *t, const float reach[3], uint32_t brick);
 /* What svoi_lanes_values says, for inner voxels. */
 void svoi_inner_values(const svo_shader *s, svo_facet *t, const svoi_inner *inner, svoi_lanes *l);
 void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svoi_inner *inner, svoi_inner_texture *out);
-/* Averages of a texture over inner voxels, at the lanes' offsets and steps. */
+/* Averages of a texture over inner voxels, at the lanes' offsets and steps: three components (alpha is of materials that have no inner voxels). */
 void svoi_inner_read(const svoi_inner_texture *f, const svo_texture *how, const svo_pyramid *p, const svoi_lanes *l, float (*out)[SVOI_LANES]);
 /* The normal of the face, and that of all corners where the facet is not smooth. */
 void svoi_plain_normals(const svo_facet *t, float face[3], float corners[3]);

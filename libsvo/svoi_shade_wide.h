@@ -9,10 +9,21 @@
 uint32_t svoi_wide_expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target);
 /* The same values to all voxels `bits` of a brick, whose voxels `among` have the numbers from `rank` on. */
 void svoi_wide_write(const svo_shade_layout *layout, const svoi_values *v, uint64_t bits, uint64_t among, uint32_t rank, uint8_t *const channels[SVO_MAX_CHANNELS]);
-/* Add bilinear readings of 16-bit texels, four components each, in rows of w: `count` (a multiple of 8) at texel[], fx[] and fy[] beyond it. Sums are eight
- * floats each: of the left and the right texels. */
-void svoi_wide_taps(const uint16_t *texels, uint32_t w, const uint32_t *texel, const float *fx, const float *fy, uint32_t count, float *sums);
 /* Add the readings of a footprint, of texels from (0, 0) on; readings of even numbers to the first eight sums, the others to the rest. */
 void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16]);
+
+/* Offsets and rows of the table of inner voxels: find_centroids in svo_shade_inner.c, with svoi_lanes_place before it. Writes up to a multiple of 16. */
+void svoi_wide_places(const svo_facet *t, const svoi_inner *in, svoi_lanes *l);
+/* Inner voxels whose step is among the bits `steps`, as sort_lanes of svo_shade_taps.c has them. */
+svoi_sorted_lanes svoi_wide_sort(const svoi_inner_texture *f, const svoi_lanes *l, uint32_t steps, const float *cx, const float *cy, float width, float height);
+/* Means of the readings of inner voxels `lanes` (bits), whose plans have the shape of n: of 16-bit texels of a level of w x h, all inside, or (`wraps`) less than a
+ * period away. cx, cy and the lanes' steps are read, and out written, up to a multiple of 16; the first three components, of other lanes unchanged
+ * unless `lanes` is all. */
+void svoi_wide_read(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l, uint64_t lanes, bool wraps,
+                    const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES]);
+/* Values of `stride` bytes, `count` of them and up to 64 bytes behind readable, to the values with the numbers in index. */
+void svoi_wide_put(const uint8_t *values, uint32_t stride, const uint32_t *index, uint32_t count, uint8_t *out);
+/* Linear colours to sRGB, three bytes a colour: `steps` is svoi_srgb_steps(). Reads and writes up to a multiple of 16 colours, and 16 bytes more. */
+void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out);
 
 #endif

@@ -1,9 +1,11 @@
 /* What is written for AVX-512 does what the plain steps do, to the bit. */
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "svoi_shade_wide.h"
-#include "test.h"
+#include "svoi_channel.h"
+#include "voxel_set.h"
 
 static bool skipped(void)
 {
@@ -94,27 +96,6 @@ static void read_one(const uint16_t *texels, float fx, float fy, uint32_t texel,
     }
 }
 
-TEST(textures_are_read_as_one_by_one)
-{
-    static uint16_t texels[4 * WIDTH * HEIGHT];
-    uint64_t seed = 3;
-    if (skipped()) return;
-    for (uint32_t i = 0; i < 4 * WIDTH * HEIGHT; i++) texels[i] = (uint16_t)test_random(&seed);
-    for (int round = 0; round < 500; round++) {
-        const uint32_t count = 8 * (1 + (uint32_t)round % (SVOI_LANES / 8));
-        uint32_t texel[SVOI_LANES];
-        float fx[SVOI_LANES], fy[SVOI_LANES], sums[SVOI_LANES][8], want[SVOI_LANES][8];
-        for (uint32_t k = 0; k < count; k++) {
-            texel[k] = (uint32_t)(test_random(&seed) % (HEIGHT - 1)) * WIDTH + (uint32_t)(test_random(&seed) % (WIDTH - 1));
-            fx[k] = (float)test_random_unit(&seed), fy[k] = (float)test_random_unit(&seed);
-            for (uint32_t i = 0; i < 8; i++) sums[k][i] = want[k][i] = (float)(i * k);
-            read_one(texels, fx[k], fy[k], texel[k], want[k]);
-        }
-        svoi_wide_taps(texels, WIDTH, texel, fx, fy, count, &sums[0][0]);
-        CHECK(memcmp(sums, want, count * sizeof *sums) == 0);
-    }
-}
-
 TEST(footprints_are_read_as_one_by_one)
 {
     static uint16_t texels[4 * WIDTH * HEIGHT];
@@ -138,4 +119,113 @@ TEST(footprints_are_read_as_one_by_one)
             svoi_wide_footprint(texels, WIDTH, &n, x, y, sums);
             CHECK(memcmp(sums, want, sizeof sums) == 0);
         }
+}
+
+TEST(colours_are_encoded_as_one_by_one)
+{
+    uint64_t seed = 6;
+    if (skipped()) return;
+    for (int round = 0; round < 2000; round++) {
+        const uint32_t count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
+        float c[3][SVOI_LANES];
+        uint8_t out[3 * SVOI_LANES + 64];
+        for (int k = 0; k < 3; k++)
+            for (uint32_t i = 0; i < SVOI_LANES; i++) {
+                const uint32_t bits = (uint32_t)test_random(&seed);
+                if (round % 2 == 0) c[k][i] = (float)pow(test_random_unit(&seed), 3);
+                else memcpy(&c[k][i], &bits, 4); /* anything */
+            }
+        svoi_wide_colors(svoi_srgb_steps(), c[0], c[1], c[2], count, out);
+        for (uint32_t i = 0; i < count; i++)
+            for (int k = 0; k < 3; k++) CHECK(out[3 * i + (uint32_t)k] == svo_linear_to_srgb(c[k][i]));
+    }
+}
+
+TEST(values_are_put_where_their_numbers_say)
+{
+    enum { ROOM = 512 };
+    uint64_t seed = 7;
+    if (skipped()) return;
+    for (int round = 0; round < 3000; round++) {
+        const uint32_t stride = (uint32_t[]){1, 3, 4}[round % 3], count = (uint32_t)test_random(&seed) % (SVOI_LANES + 1), much = 1 + (uint32_t)test_random(&seed) % 40;
+        uint32_t index[SVOI_LANES + 16] = {0};
+        uint8_t values[4 * SVOI_LANES + 64], out[4 * ROOM], want[4 * ROOM];
+        for (uint32_t i = 0, at = 0; i < count; i++, at++) { /* runs of all lengths */
+            if (test_random(&seed) % much == 0) at += 1 + (uint32_t)test_random(&seed) % 4;
+            index[i] = at;
+        }
+        for (size_t i = 0; i < sizeof values; i++) values[i] = (uint8_t)test_random(&seed);
+        memset(out, 0xaa, sizeof out);
+        memset(want, 0xaa, sizeof want);
+        for (uint32_t i = 0; i < count; i++) memcpy(want + stride * index[i], values + stride * i, stride);
+        svoi_wide_put(values, stride, index, count, out);
+        CHECK(memcmp(out, want, sizeof out) == 0);
+    }
+}
+
+/* Triangles of all sizes with texture coordinates, normals and colours. */
+static void tangle_make(loose_mesh *m, uint32_t count, double texels, uint64_t *seed)
+{
+    double *v = malloc(72 * (size_t)count);
+    float *uv = malloc(24 * (size_t)count), *normal = malloc(36 * (size_t)count);
+    for (uint32_t t = 0; t < count; t++) {
+        const double size = pow(0.5, (double)(t % 6));
+        double at[3];
+        for (int k = 0; k < 3; k++) at[k] = test_random_unit(seed);
+        for (uint32_t c = 3 * t; c < 3 * t + 3; c++) {
+            for (uint32_t k = 0; k < 3; k++) v[3 * c + k] = at[k] + size * (test_random_unit(seed) - 0.5);
+            for (uint32_t k = 0; k < 2; k++) uv[2 * c + k] = (float)(v[3 * c + k] * texels + 0.3 * v[3 * c + 2] - 1);
+            for (uint32_t k = 0; k < 3; k++) normal[3 * c + k] = t % 3 == 0 ? (float)k : (float)(test_random_unit(seed) - 0.5);
+        }
+    }
+    loose_make(m, v, count);
+    free(v);
+    m->part.uvs[0] = uv;
+    m->part.normals = normal;
+}
+
+TEST(attributes_are_the_same_without)
+{
+    uint64_t seed = 8;
+    if (skipped()) return;
+    for (uint32_t round = 0; round < 36 && !test_failed(); round++) {
+        loose_mesh m;
+        svo_material material = svo_material_default();
+        svo_image images[2];
+        tangle_make(&m, 90, (double[]){0.2, 1, 5, 40}[round % 4], &seed);
+        for (uint32_t i = 0; i < 2; i++) {
+            images[i] = (svo_image){.width = i == 0 ? 64 : 37, .height = round % 5 == 0 ? 3 : 32};
+            images[i].pixels = malloc(4 * (size_t)images[i].width * images[i].height);
+            for (uint32_t k = 0; k < 4 * images[i].width * images[i].height; k++) images[i].pixels[k] = (uint8_t)test_random(&seed);
+        }
+        svo_texture *how[3] = {&material.base_color_texture, &material.emissive_texture, &material.metallic_roughness_texture};
+        for (uint32_t k = 0; k < 3; k++) {
+            if (k != 0 && round % 3 == 0) break; /* colours alone */
+            how[k]->image = k % 2;
+            how[k]->wrap_u = (svo_wrap[]){SVO_WRAP_REPEAT, SVO_WRAP_MIRROR, SVO_WRAP_CLAMP}[round / 4 % 3];
+            how[k]->wrap_v = round % 7 == 0 ? SVO_WRAP_CLAMP : how[k]->wrap_u;
+        }
+        material.emissive[0] = material.emissive[1] = material.emissive[2] = material.metallic = 0.8f;
+        if (round % 9 == 8) material.alpha_mode = SVO_ALPHA_BLEND;
+        m.part.material = 0;
+        m.mesh.materials = &material;
+        m.mesh.material_count = 1;
+        m.mesh.images = images;
+        m.mesh.image_count = 2;
+        svo_voxelize_options o = svo_default_voxelize_options();
+        o.depth = 6 + round % 2;
+        o.threads = 2;
+        o.channels = SVO_WANT_COLOR | SVO_WANT_NORMAL | SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS;
+        voxel_set with, without;
+        svo_error err;
+        CHECK_OK(voxel_run(&m.mesh, &o, false, &with, &err));
+        svoi_clip_hold_back(true);
+        CHECK_OK(voxel_run(&m.mesh, &o, false, &without, &err));
+        svoi_clip_hold_back(false);
+        CHECK(with.hash == without.hash && with.count == without.count);
+        voxel_free(&with);
+        voxel_free(&without);
+        for (uint32_t i = 0; i < 2; i++) free(images[i].pixels);
+        loose_free(&m);
+    }
 }
