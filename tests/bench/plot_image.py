@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Error of pictures over seconds and over bytes as a plot:  plot_image.py IN.csv OUT.svg   (IN.csv as bench_image prints it)
+"""Error of pictures over seconds and over bytes as a plot:  plot_image.py IN.csv OUT.svg   (IN.csv as bench_image or bench_poses prints it)
 
 Left: root mean square difference of light against seconds, a line for each number of samples and kernel at delta 1, a point for each depth. Right: the same against bytes of the file,
-a line for each delta, 4 x 4 samples. Logarithmic axes."""
+a line for each delta, 4 x 4 samples. Of what bench_poses prints: light against seconds, a panel for each pose, a line for each way of resampling at delta 1. Logarithmic axes."""
 import csv
 import math
 import sys
@@ -44,10 +44,23 @@ def panel(x0, key, label, groups):
     return out + ["</g>"]
 
 
-left = [("%s x %s, %s" % (s, s, k), COLORS[i], k == "portable", [r for r in rows if r["samples"] == s and r["kernel"] == k and r["delta"] == "1"])
-        for i, s in enumerate(("1", "2", "4")) for k in ("avx512", "portable")]
-right = [("delta %s" % d, COLORS[i], "", [r for r in rows if r["samples"] == "4" and r["kernel"] == "avx512" and r["delta"] == d]) for i, d in enumerate(("0", "1", "2", "4"))]
-out = ['<svg xmlns="http://www.w3.org/2000/svg" width="%d" height="%d" font-family="sans-serif" font-size="11">' % (2 * W + 10, H + 20), '<rect width="100%" height="100%" fill="white"/>']
-out += panel(0, "seconds", "thread CPU seconds a picture (points: depths)", left) + panel(W, "bytes", "bytes of the .svdag (points: depths)", right)
+def pictures():
+    left = [("%s x %s, %s" % (s, s, k), COLORS[i], k == "portable", [r for r in rows if r["samples"] == s and r["kernel"] == k and r["delta"] == "1"])
+            for i, s in enumerate(("1", "2", "4")) for k in ("avx512", "portable")]
+    right = [("delta %s" % d, COLORS[i], "", [r for r in rows if r["samples"] == "4" and r["kernel"] == "avx512" and r["delta"] == d]) for i, d in enumerate(("0", "1", "2", "4"))]
+    return [panel(0, "seconds", "thread CPU seconds a picture (points: depths)", left), panel(W, "bytes", "bytes of the .svdag (points: depths)", right)]
+
+
+def poses():
+    out = []
+    for n, pose in enumerate(dict.fromkeys(r["pose"] for r in rows)):
+        groups = [(m, COLORS[i], False, [r for r in rows if r["pose"] == pose and r["resample"] == m and r["delta"] == "1"]) for i, m in enumerate(dict.fromkeys(r["resample"] for r in rows))]
+        out.append(panel(n * W, "seconds", pose + ": thread CPU seconds a picture (points: depths)", groups))
+    return out
+
+
+panels = poses() if "pose" in rows[0] else pictures()
+out = ['<svg xmlns="http://www.w3.org/2000/svg" width="%d" height="%d" font-family="sans-serif" font-size="11">' % (len(panels) * W + 10, H + 20), '<rect width="100%" height="100%" fill="white"/>']
+out += sum(panels, [])
 out.append("</svg>")
 open(sys.argv[2], "w").write("\n".join(out) + "\n")

@@ -13,14 +13,14 @@
 #include <string.h>
 #include <time.h>
 
-#include "embree_mesh.h"
+#include "embree_picture.h"
 #include "fmt_file.h"
 #include "fmt_import.h"
 #include "fmt_svdag.h"
 #include "svo_rays.h"
 #include "svo_render.h"
 
-enum { REFERENCE = 8, REPEATS = 3 };
+enum { REPEATS = 3 };
 
 static double seconds(void)
 {
@@ -40,33 +40,6 @@ static void fail(const char *name, const svo_error *err)
 {
     fprintf(stderr, "%s: %s\n", name, err->message);
     exit(1);
-}
-
-/* Light (of the grey that svo_render takes where there is no colour) and coverage, 2 a pixel. */
-static void draw_reference(RTCScene scene, const svo_render_options *o, float *out)
-{
-    struct RTCIntersectContext context;
-    svo_vec3 light = svo_normalize(o->light);
-    for (uint32_t i = 0; i < o->width * o->height; i++) {
-        double sum = 0, cover = 0;
-        for (uint32_t s = 0; s < REFERENCE * REFERENCE; s++) {
-            svo_scene_ray r = svo_render_ray(o, i % o->width + (s % REFERENCE + 0.5) / REFERENCE, i / o->width + (s / REFERENCE + 0.5) / REFERENCE);
-            struct RTCRayHit h;
-            memset(&h, 0, sizeof h);
-            h.ray.org_x = (float)r.origin.x, h.ray.org_y = (float)r.origin.y, h.ray.org_z = (float)r.origin.z;
-            h.ray.dir_x = (float)r.direction.x, h.ray.dir_y = (float)r.direction.y, h.ray.dir_z = (float)r.direction.z;
-            h.ray.tfar = INFINITY, h.ray.mask = 0xffffffffu;
-            h.hit.geomID = RTC_INVALID_GEOMETRY_ID, h.hit.instID[0] = RTC_INVALID_GEOMETRY_ID;
-            rtcInitIntersectContext(&context);
-            rtcIntersect1(scene, &context, &h);
-            if (h.hit.geomID == RTC_INVALID_GEOMETRY_ID) continue;
-            svo_vec3 n = svo_normalize(svo_v3(h.hit.Ng_x, h.hit.Ng_y, h.hit.Ng_z));
-            if (svo_dot(n, r.direction) > 0) n = svo_scale(n, -1);
-            sum += 0.6 * (o->ambient * (0.75 + 0.25 * n.y) + (1 - o->ambient) * fmax(0, svo_dot(n, light)));
-            cover++;
-        }
-        out[2 * i] = (float)(sum / (REFERENCE * REFERENCE)), out[2 * i + 1] = (float)(cover / (REFERENCE * REFERENCE));
-    }
 }
 
 static void compare(const char *name, uint64_t bytes, const svo_view *view, svo_render_options o, const float *reference)
@@ -89,23 +62,16 @@ static void compare(const char *name, uint64_t bytes, const svo_view *view, svo_
             fail(name, &err);
         for (size_t s = 0; s < sizeof samples / sizeof *samples; s++)
             for (size_t f = 0; f < sizeof footprints / sizeof *footprints; f++) {
-                double best = INFINITY, sum = 0, outline = 0, most = 0;
-                uint64_t count = 0;
+                double best = INFINITY;
                 o.samples = samples[s], o.footprint = footprints[f], o.threads = 1;
                 for (int i = 0; i < REPEATS; i++) {
                     double start = seconds();
                     if (svo_render_with_planes(bvh, &storage.scene, &o, picture, &planes, NULL, &err) != SVO_OK) fail(name, &err);
                     best = fmin(best, seconds() - start);
                 }
-                for (uint32_t i = 0; i < pixels; i++) {
-                    if (light[4 * i + 3] == 0 && reference[2 * i + 1] == 0) continue;
-                    double d = light[4 * i] - reference[2 * i];
-                    sum += d * d, count++;
-                    most = fmax(most, fabs(d));
-                    outline += fabs(light[4 * i + 3] - reference[2 * i + 1]);
-                }
+                const picture_error e = picture_compare(light, reference, pixels);
                 printf("%s,%u,%llu,%s,%u,%u,%.4f,%.5f,%.1f,%.4f\n", name, view->depth, (unsigned long long)bytes, k == 0 ? "portable" : "avx512", samples[s], footprints[f], best,
-                       sqrt(sum / (double)(count > 0 ? count : 1)), outline, most);
+                       e.rms, e.outline, e.most);
                 fflush(stdout);
             }
         svo_bvh_free(bvh);
@@ -126,12 +92,12 @@ int main(int argc, char **argv)
     double low[3], high[3];
     if (!svo_mesh_bounds(&mesh, low, high)) return fprintf(stderr, "%s: no triangles\n", argv[at]), 1;
     RTCDevice device = rtcNewDevice("threads=1");
-    RTCScene scene = embree_scene(device, &mesh);
+    RTCScene scene = embree_scene(device, &mesh, NULL, NULL);
     svo_render_options o = svo_default_render_options();
     o.width = width, o.height = width * 9 / 16, o.shadows = false, o.transparent = true;
     o.eye = svo_eye_frame(low, high, (double)o.width / o.height, 0.7);
     float *reference = get(8 * (size_t)o.width * o.height);
-    draw_reference(scene, &o, reference);
+    embree_picture(scene, &o, reference);
     puts("file,depth,bytes,kernel,samples,delta,seconds,rms_light,silhouette_pixels,max_light");
     for (int i = at + 1; i < argc; i++) {
         fmt_bytes bytes;

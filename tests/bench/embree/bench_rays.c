@@ -319,7 +319,7 @@ int main(int argc, char **argv)
     double low[3], high[3];
     if (!svo_mesh_bounds(&mesh, low, high)) return fprintf(stderr, "%s: no triangles\n", mesh_path), 1;
     RTCDevice device = rtcNewDevice("threads=1");
-    RTCScene scene = embree_scene(device, &mesh);
+    RTCScene scene = embree_scene(device, &mesh, NULL, NULL);
     ray_list lists[SETS];
     make_rays(lists, scene, low, high, inside);
     for (int i = 0; i < count; i++) {

@@ -9,8 +9,11 @@
 
 #include "svo_mesh.h"
 
-/* Built as well as Embree can; free by rtcReleaseScene. Ends the program where there is no memory. */
-static RTCScene embree_scene(RTCDevice device, const svo_mesh *m)
+/* Where a point goes before it is built. */
+typedef svo_vec3 (*embree_move)(const void *user, svo_vec3 p);
+
+/* Built as well as Embree can; free by rtcReleaseScene. Ends the program where there is no memory. move: NULL, or of each corner. */
+static RTCScene embree_scene(RTCDevice device, const svo_mesh *m, embree_move move, const void *user)
 {
     RTCScene scene = rtcNewScene(device);
     rtcSetSceneBuildQuality(scene, RTC_BUILD_QUALITY_HIGH);
@@ -26,6 +29,7 @@ static RTCScene embree_scene(RTCDevice device, const svo_mesh *m)
             for (uint64_t k = 0; k < part->vertex_count; k++) {
                 const double *x = part->positions + 3 * k;
                 svo_vec3 at = svo_mat4_point(&m->instances[i].transform, svo_v3(x[0], x[1], x[2]));
+                if (move != NULL) at = move(user, at);
                 v[3 * k] = (float)at.x, v[3 * k + 1] = (float)at.y, v[3 * k + 2] = (float)at.z;
             }
             memcpy(t, part->indices, 12 * part->triangle_count);
