@@ -8,6 +8,7 @@
 
 enum {
     MOST_VISITS = 1 << 17,
+    LEAST_BIN = 2 << 20, /* bytes that are left to triangles, and some for what goes on the way */
     AHEAD = 112, /* chunks of geometry alone that may wait besides some a thread */
     SLICE_VOXELS = 1 << 17,
     MOST_EXPANDED = 128 << 20, /* bytes of textures that are kept in two forms */
@@ -384,7 +385,7 @@ svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err)
 {
     svo_pipeline p = {.threads = threads, .item_size = sizeof(svoi_item), .user = r, .produce = produce, .work = work, .commit = commit, .destroy = destroy};
     /* A chunk of geometry takes 0.1 ms and some kB, and the system takes a processor away for milliseconds. */
-    if (r->shader == NULL && r->winding == NULL && threads > 1 && !r->bounded) p.window = 8 * threads + AHEAD;
+    if (r->shader == NULL && r->winding == NULL && threads > 1 && r->limit == NULL) p.window = 8 * threads + AHEAD;
     return svo_pipeline_run(&p, err);
 }
 
@@ -435,7 +436,11 @@ static bool must_spill(const svoi_run *r, const svo_voxelize_options *o, uint64_
 static uint32_t fit_workers(svoi_run *r, uint64_t left, uint32_t threads)
 {
     while (threads > 1 && threads * svoi_worker_bytes(r) > left / 2) threads--;
-    while (svoi_worker_bytes(r) > left / 2 && r->slice_voxels > 1024) r->slice_voxels /= 2, r->most_visits /= 2;
+    /* Half of what can be divided: the smaller the slices, the more often the triangles of a unit in parts are read. */
+    const uint64_t least = svoi_worker_bytes(r) - svoi_scratch_bytes(r), bin = left / 8 + LEAST_BIN;
+    uint64_t most = left > 2 * least ? left / 2 : left > least ? least + (left - least) / 2 : least;
+    if (most > least && most + bin > left) most = left > least + bin ? left - bin : least;
+    while (svoi_worker_bytes(r) > most && r->slice_voxels > 1024) r->slice_voxels /= 2, r->most_visits /= 2;
     return threads;
 }
 
@@ -473,7 +478,8 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     svo_voxelize_report *report = r->report;
     r->began = svo_seconds();
     r->most_visits = MOST_VISITS;
-    r->bounded = o->memory != 0;
+    r->limit = o->memory != 0 ? limit : NULL;
+    r->memory = o->memory;
     r->slice_voxels = SLICE_VOXELS;
     SVO_TRY(svo_placement_create(r->placement.mesh, r->allocator, &r->placement, err));
     report->triangles = r->placement.triangle_count;
@@ -490,6 +496,7 @@ static svo_result run_all(svoi_run *r, const svo_voxelize_options *o, uint32_t t
     if (r->shader != NULL) svo_shader_expand(r->shader, o->memory == 0 ? MOST_EXPANDED : left / 16 < MOST_EXPANDED ? left / 16 : MOST_EXPANDED, threads);
     if (solid) SVO_TRY(prepare_solid(r, o, left_of(o, limit), threads, pager, err));
     if (o->memory != 0) threads = fit_workers(r, left = left_of(o, limit), threads);
+    r->alone = threads == 1;
     svo_bins_report bins = {0};
     svo_result result;
     const bool spills = must_spill(r, o, left, threads);

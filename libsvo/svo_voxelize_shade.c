@@ -475,9 +475,10 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
     s->wide = svoi_clip_has_wide();
-    for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += r->slice_voxels) {
+    const uint64_t slice = svoi_slice(r, svoi_part_count(s) > 1);
+    for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += slice) {
         s->slice_begin = begin;
-        s->slice_end = complex - begin < r->slice_voxels ? complex : begin + r->slice_voxels;
+        s->slice_end = complex - begin < slice ? complex : begin + slice;
         s->one_slice = s->slice_end - begin == complex;
         w->sums.size = 0;
         if (!svo_buffer_append(&w->sums, NULL, (s->slice_end - begin) * s->layout->fields * 8 + 8)) return out_of_memory(err);
@@ -489,6 +490,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
         write_slice(s);
         s->first_slice = false;
     }
+    if (slice > r->slice_voxels) svo_buffer_free(&w->sums); /* it may be all that was left */
     if (s->layout->material < SVO_MAX_CHANNELS) return shade_materials(s, box_lo, box_hi, voxels, err);
     return SVO_OK;
 }

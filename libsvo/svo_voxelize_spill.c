@@ -21,6 +21,19 @@ typedef struct driver {
     uint32_t threads;
 } driver;
 
+/* Of a voxel in a slice; of visits that are remembered, with what growing takes. */
+static uint64_t sum_bytes(const svoi_run *r) { return 8u * svo_shader_layout(r->shader)->fields + 16; }
+static uint64_t visit_bytes(const svoi_run *r) { return 3 * (sizeof(svo_block_visit) + 4 * sizeof(uint32_t)) * (uint64_t)r->most_visits; }
+
+uint64_t svoi_scratch_bytes(const svoi_run *r) { return r->shader == NULL ? 0 : visit_bytes(r) + r->slice_voxels * sum_bytes(r); }
+
+uint64_t svoi_slice(const svoi_run *r, bool parts)
+{
+    if (r->limit == NULL || !(parts || r->alone)) return r->slice_voxels;
+    const uint64_t used = svo_limit_in_use(r->limit) + (parts ? r->part_cost : 0) + r->memory / 32, left = used < r->memory ? (r->memory - used) / sum_bytes(r) : 0;
+    return left > r->slice_voxels ? left : r->slice_voxels;
+}
+
 uint64_t svoi_worker_bytes(const svoi_run *r)
 {
     uint64_t bytes = sizeof(svo_block) + (1 << 20); /* masks, and what the sink takes */
@@ -29,7 +42,7 @@ uint64_t svoi_worker_bytes(const svoi_run *r)
     uint64_t stride = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) stride += svo_channel_stride(r->info->channels[c].kind);
     if (r->winding != NULL) bytes += 300000 * (2 * sizeof(uint32_t) + stride); /* values inside beside those of the surface */
-    return bytes + 3 * (sizeof(svo_block_visit) + 4 * sizeof(uint32_t)) * (uint64_t)r->most_visits + r->slice_voxels * (8u * svo_shader_layout(r->shader)->fields + 16) + 400000 * stride;
+    return bytes + svoi_scratch_bytes(r) + 400000 * stride;
 }
 
 /* --- bins one by one ------------------------------------------------------------------------------------------ */
@@ -158,6 +171,7 @@ svo_result svoi_voxelize_spilled(svoi_run *r, const svo_voxelize_options *o, uin
     rest = rest > taken ? rest - taken : 0;
     d.plan = (svoi_scatter_plan){.placement = &d.whole, .layouts = layouts, .grid = r->grid, .spill = o->spill, .allocator = r->allocator, .threads = threads};
     d.plan.bin_cost = memory == 0 ? (uint64_t)1 << 30 : rest / 4 * 3;
+    r->part_cost = d.plan.bin_cost;
     uint64_t bins = rest / 8 / BUFFER;
     d.plan.max_bins = bins < LEAST_BINS ? LEAST_BINS : bins > MOST_BINS ? MOST_BINS : (uint32_t)bins;
     d.plan.max_cells = rest >= (uint64_t)64 << 20 ? 1u << 18 : 1u << 15;

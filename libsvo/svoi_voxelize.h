@@ -63,7 +63,9 @@ typedef struct svoi_run {
     svo_bins *bins;
     svo_shader *shader; /* NULL without channels that vary */
     bool masks;         /* some material cuts voxels away, so shading is asked first */
-    bool bounded;       /* memory is limited */
+    const svo_limit_allocator *limit; /* where memory is limited, else NULL */
+    uint64_t memory, part_cost;       /* that limit; what a part of a unit's triangles may take of it */
+    bool alone;                       /* one worker */
     svo_winding *winding; /* of solids, else NULL; of all triangles, also where the run has those of a bin */
     struct svoi_far *far; /* NULL: the numbers that the winding knows are those of the run's placement */
     svo_solid_counts asked; /* by the thread that makes items */
@@ -161,8 +163,12 @@ static inline uint64_t svoi_triangle_count(const svoi_scan *s) { return s->it->p
 svo_result svoi_run_chunks(svoi_run *r, uint32_t threads, svo_error *err);
 /* One unit whose triangles come in parts. */
 svo_result svoi_run_chunk_parts(svoi_run *r, uint64_t code, const svoi_parts *parts, svo_error *err);
-/* Memory that a worker needs, about. */
+/* Memory that a worker needs, about, and the part of it that can be smaller. */
 uint64_t svoi_worker_bytes(const svoi_run *r);
+uint64_t svoi_scratch_bytes(const svoi_run *r);
+/* Complex voxels averaged at a time. Where one worker is alone with a limit of memory as many as what is left has room for, because each time costs a visit
+ * to all triangles, or a reading of them where they come in parts. */
+uint64_t svoi_slice(const svoi_run *r, bool parts);
 /* The inside of solids in first <= code < end (codes of units), where no triangle is but some are beside. */
 svo_result svoi_run_gap(svoi_run *r, uint64_t first, uint64_t end, uint32_t threads, svo_error *err);
 /* Voxelize the units first <= code < end of the run's placement in bins that fit in `memory` (0: any) besides what is allocated. */

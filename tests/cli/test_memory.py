@@ -89,6 +89,13 @@ def test_solids_larger_than_memory(folder):
                 check(report["output"]["voxels"] > report["output"]["values"], report["output"])
 
 
+def test_values_of_units_in_parts_are_read_a_few_times(folder):
+    """Sums of as many voxels as there is room for at a time: with a fixed number of them all triangles were read a hundred times."""
+    mesh = sheet(folder, "ply", 300000, True, "torus")
+    files = compare(folder, mesh, "30M", 30 << 20, "--depth", "8", "--fill", "solid", "--reference", "0")["temporary_files"]
+    check(files["split_units"] != 0 and files["bytes_read"] < 12 * files["bytes_written"], files)
+
+
 def test_inside_of_textured_solids_larger_than_memory(folder):
     """Values inside are those of the nearest triangle, which may lie in any bin; shards too."""
     mesh = textured_sheets(folder, 2, 600, 170, True)
