@@ -174,24 +174,80 @@ static bool is_spilled(const svo_mesh *mesh)
     return false;
 }
 
-/* Nodes belong to the shard in which the middle of their work falls. */
-static void cut(const svo_buffer *weights, uint32_t level, uint32_t chunk_level, svo_shard *s)
+/* --- the cut ------------------------------------------------------------------------------------------------------ */
+
+/* Can nodes be cut into `count` ranges of at most `most` each? */
+static bool fits(const weight *w, uint64_t nodes, uint32_t count, uint64_t most)
+{
+    uint64_t sum = 0;
+    uint32_t used = 1;
+    for (uint64_t i = 0; i < nodes; i++) {
+        if (w[i].work > most) return false;
+        if (w[i].work > most - sum) {
+            if (used++ == count) return false;
+            sum = 0;
+        }
+        sum += w[i].work;
+    }
+    return true;
+}
+
+/* The smallest work of the largest of `count` ranges. */
+static uint64_t least_most(const weight *w, uint64_t nodes, uint32_t count)
+{
+    uint64_t low = 0, high = 0;
+    for (uint64_t i = 0; i < nodes; i++) {
+        if (w[i].work > low) low = w[i].work;
+        high += w[i].work;
+    }
+    if (high / count > low) low = high / count;
+    while (low < high) {
+        const uint64_t middle = low + (high - low) / 2;
+        if (fits(w, nodes, count, middle)) high = middle;
+        else low = middle + 1;
+    }
+    return low;
+}
+
+/* Ranges of nodes for all shards, none with more work than the best cut needs, and each with a node while there are as many: each takes what is nearest to
+ * its share of what is left, as far as the others can take the rest. Beyond the number of nodes shards are empty. */
+static svo_result cut(const svo_buffer *weights, uint32_t level, uint32_t chunk_level, const svo_allocator *a, svo_shard *s, svo_error *err)
 {
     const weight *w = (const weight *)(const void *)weights->data;
-    uint64_t count = weights->size / sizeof *w, total = 0, before = 0, mine = 0, last = (uint64_t)1 << 3 * chunk_level;
-    for (uint64_t i = 0; i < count; i++) total += w[i].work;
+    const uint64_t nodes = weights->size / sizeof *w, last = (uint64_t)1 << 3 * chunk_level;
+    const uint32_t shards = nodes < s->count ? (uint32_t)nodes : s->count;
     s->first_code = s->index == 1 ? 0 : last;
     s->end_code = last;
-    for (uint64_t i = 0; i < count; i++) {
-        double middle = ((double)before + (double)w[i].work / 2) * s->count / (double)total;
-        uint32_t shard = middle < s->count - 1 ? (uint32_t)middle + 1 : s->count;
-        uint64_t code = w[i].code << 3 * (chunk_level - level);
-        if (shard >= s->index && code < s->first_code) s->first_code = code;
-        if (shard > s->index && code < s->end_code) s->end_code = code;
-        if (shard == s->index) mine += w[i].work;
-        before += w[i].work;
+    s->share = 0;
+    if (nodes == 0) return SVO_OK;
+    uint64_t *least = svo_alloc(a, (uint64_t)shards + 1, sizeof *least); /* [k]: first node that the last k shards can take */
+    if (least == NULL) return no_memory(err);
+    const uint64_t most = least_most(w, nodes, shards);
+    uint64_t total = 0;
+    least[0] = nodes;
+    for (uint32_t k = 1; k <= shards; k++) {
+        uint64_t i = least[k - 1], sum = 0;
+        while (i > 0 && w[i - 1].work <= most - sum) sum += w[--i].work;
+        least[k] = i;
     }
-    s->share = total != 0 ? (double)mine / (double)total : 0;
+    for (uint64_t i = 0; i < nodes; i++) total += w[i].work;
+    uint64_t begin = 0, rest = total;
+    for (uint32_t k = 0; k < shards; k++) {
+        const uint32_t others = shards - k - 1;
+        const uint64_t share = rest / (others + 1);
+        uint64_t end = begin, sum = 0;
+        while (end < nodes - others && w[end].work <= most - sum && (end == begin || end < least[others] || sum + w[end].work / 2 <= share)) sum += w[end++].work;
+        if (k + 1 == s->index) {
+            s->first_code = begin == 0 ? 0 : w[begin].code << 3 * (chunk_level - level);
+            s->end_code = end == nodes ? last : w[end].code << 3 * (chunk_level - level);
+            s->share = total != 0 ? (double)sum / (double)total : 0;
+        }
+        begin = end;
+        rest -= sum;
+    }
+    SVO_ASSERT(begin == nodes);
+    svo_free(a, least, (uint64_t)shards + 1, sizeof *least);
+    return SVO_OK;
 }
 
 svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *options, const svo_tree_info *info, uint32_t index,
@@ -207,25 +263,35 @@ svo_result svo_shard_plan(const svo_mesh *mesh, const svo_voxelize_options *opti
     uint32_t chunk_level = svo_chunk_level(info->depth), level = 0;
     while (level < chunk_level && (uint64_t)1 << 2 * level < (uint64_t)NODES_PER_SHARD * count) level++;
     svo_placement placement = {.mesh = mesh, .allocator = &limit.base};
-    svo_bins *bins = NULL;
-    svo_bins_report unused;
     svo_buffer list, weights;
     svo_buffer_init(&list, &limit.base);
     svo_buffer_init(&weights, &limit.base);
     svo_result r = svo_placement_create(mesh, &limit.base, &placement, err);
-    uint64_t keep = options->memory == 0 ? UINT64_MAX : options->memory / 2;
+    const uint64_t keep = options->memory == 0 ? UINT64_MAX : options->memory / 2;
     const bool spilled = is_spilled(mesh);
-    if (r == SVO_OK && spilled) r = weigh_stream(&placement, &grid, level, &limit.base, &weights, err);
-    if (r == SVO_OK && !spilled) r = svo_bins_create(&placement, &grid, level, keep, options->threads, &limit.base, &bins, &unused, err);
-    if (r == SVO_OK && !spilled) r = weigh(bins, &grid, level, &list, &weights, err);
+    while (r == SVO_OK) {
+        weights.size = 0;
+        if (spilled) {
+            r = weigh_stream(&placement, &grid, level, &limit.base, &weights, err);
+        } else {
+            svo_bins *bins = NULL;
+            svo_bins_report unused;
+            r = svo_bins_create(&placement, &grid, level, keep, options->threads, &limit.base, &bins, &unused, err);
+            if (r == SVO_OK) r = weigh(bins, &grid, level, &list, &weights, err);
+            svo_bins_free(bins);
+        }
+        /* A surface that fills little of the grid has fewer nodes. Those that are outside of memory cannot be weighed deeper, so the others are only if some shard had none. */
+        const uint64_t nodes = weights.size / sizeof(weight);
+        if (r != SVO_OK || nodes == 0 || level >= chunk_level || nodes >= (uint64_t)(level < MOST_STREAM_LEVEL ? NODES_PER_SHARD / 2 : 1) * count) break;
+        level++;
+    }
     if (r == SVO_OK) {
         svo_shard s = {.index = index, .count = count};
-        cut(&weights, level, chunk_level, &s);
-        *out = s;
+        r = cut(&weights, level, chunk_level, &limit.base, &s, err);
+        if (r == SVO_OK) *out = s;
     }
     svo_buffer_free(&list);
     svo_buffer_free(&weights);
-    svo_bins_free(bins);
     svo_placement_free(&placement);
     return r;
 }

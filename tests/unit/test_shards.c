@@ -5,6 +5,7 @@
 
 #include "fmt_svo.h"
 #include "hostile.h"
+#include "svo_bin.h"
 #include "svo_shard.h"
 #include "trees.h"
 #include "voxel_set.h"
@@ -60,6 +61,58 @@ TEST(ranges_follow_each_other_and_share_the_work)
             CHECK_MSG(fabs(sum - 1) < 1e-9, "%g", sum);
             if (depth == 11 && counts[k] <= 7) CHECK_MSG(most * counts[k] < 1.3, "%u shards: %g", counts[k], most * counts[k]);
         }
+    loose_free(&m);
+}
+
+/* Chunks that some triangle meets. */
+static void count_chunks(const loose_mesh *m, const svo_tree_info *info, uint32_t *count)
+{
+    svo_placement placement;
+    svo_bins *bins;
+    svo_bins_report unused;
+    svo_grid grid = {.size = info->voxel_to_world[0], .depth = info->depth};
+    svo_buffer list;
+    uint64_t code;
+    bool more = true;
+    *count = 0;
+    for (int i = 0; i < 3; i++) grid.origin[i] = info->voxel_to_world[4 * i + 3];
+    svo_buffer_init(&list, NULL);
+    CHECK_OK(svo_placement_create(&m->mesh, NULL, &placement, &err));
+    CHECK_OK(svo_bins_create(&placement, &grid, svo_chunk_level(info->depth), UINT64_MAX, 1, NULL, &bins, &unused, &err));
+    for (; more; *count += more) CHECK_OK(svo_bins_next(bins, &code, &list, &more, &err));
+    svo_bins_free(bins);
+    svo_placement_free(&placement);
+    svo_buffer_free(&list);
+}
+
+TEST(no_shard_is_empty_while_there_are_chunks)
+{
+    loose_mesh m;
+    scatter(&m, 300);
+    for (uint32_t depth = 8; depth <= 11; depth++) {
+        svo_voxelize_options o = svo_default_voxelize_options();
+        svo_tree_info info;
+        o.depth = depth;
+        CHECK_OK(svo_voxelize_plan(&m.mesh, &o, &info, &err));
+        uint32_t chunks = 0;
+        count_chunks(&m, &info, &chunks);
+        const uint32_t counts[] = {2, chunks / 3 + 1, chunks - 1, chunks, chunks + 5};
+        double largest = 0; /* chunk: no cut does without it */
+        for (uint32_t k = 5; k-- > 0;) {
+            uint32_t empty = 0;
+            double most = 0;
+            for (uint32_t i = 1; i <= counts[k]; i++) {
+                svo_shard s;
+                CHECK_OK(svo_shard_plan(&m.mesh, &o, &info, i, counts[k], &s, &err));
+                CHECK((s.share > 0) == (s.first_code < s.end_code));
+                empty += !(s.share > 0);
+                if (s.share > most) most = s.share;
+            }
+            CHECK_U64(empty, counts[k] > chunks ? counts[k] - chunks : 0);
+            if (counts[k] == chunks) largest = most;
+            if (counts[k] < chunks) CHECK_MSG(most < 1.0 / counts[k] + largest + 1e-9, "%u of %u: %g", counts[k], chunks, most);
+        }
+    }
     loose_free(&m);
 }
 
