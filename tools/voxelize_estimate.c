@@ -16,9 +16,12 @@
 
 enum {
     TRIAL_DEPTH = 9,
+    SOLID_DEPTH = 8, /* of the one trial that makes what tells inside from outside */
     PARTS = 6, PART_VOXELS = 100000, /* tried at the job's own depth */
     VOXEL_BYTES = 24,  /* more than a voxel takes in a file, with every channel */
-    RECORD_BYTES = 250 /* more than a triangle takes in temporary files */
+    RECORD_BYTES = 250, /* more than a triangle takes in temporary files */
+    SOLID_MOST = 350,   /* the same of what tells inside from outside, where no edge is shared */
+    SOLID_LEAST = 80    /* less than it takes where all are shared */
 };
 
 /* A voxel of the trial, from which a part of the grid is chosen. */
@@ -62,10 +65,11 @@ static int by_code(const void *a, const void *b)
 typedef struct trial { uint64_t nodes[SVO_MAX_DEPTH + 1], bytes; double seconds, seconds_setup, seconds_voxels; uint32_t depth; } trial;
 
 /* The job at another depth, or a part of it (first < end), into memory. */
-static svo_result try_depth(const estimate_input *in, uint32_t depth, uint64_t first, uint64_t end, probes *probe, trial *out, svo_error *err)
+static svo_result try_depth(const estimate_input *in, svo_fill fill, uint32_t depth, uint64_t first, uint64_t end, probes *probe, trial *out, svo_error *err)
 {
     svo_voxelize_options o = *in->options;
     svo_tree_info info;
+    o.fill = fill;
     o.reference_voxels = 0;
     o.has_range = first < end;
     o.first_code = first;
@@ -119,7 +123,7 @@ static svo_result try_parts(const estimate_input *in, const trial *coarse, const
         trial t;
         if (node == last) continue;
         last = node;
-        SVO_TRY(try_depth(in, in->info->depth, node << wide, (node + 1) << wide, NULL, &t, err));
+        SVO_TRY(try_depth(in, SVO_FILL_SURFACE, in->info->depth, node << wide, (node + 1) << wide, NULL, &t, err));
         for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) out->nodes[l] += t.nodes[l];
         out->bytes += t.bytes;
         out->seconds += t.seconds;
@@ -129,9 +133,12 @@ static svo_result try_parts(const estimate_input *in, const trial *coarse, const
     return SVO_OK;
 }
 
+static bool is_solid(const estimate_input *in) { return in->info->fill == SVO_FILL_SOLID; }
+
+/* Deeper than this a solid is estimated as a surface with an inside, of which one trial is made. */
 static svo_result trials(const estimate_input *in, uint32_t at, probes *probe, run_estimate *e, trial *fine, svo_error *err)
 {
-    SVO_TRY(try_depth(in, at, 0, 0, probe, fine, err));
+    SVO_TRY(try_depth(in, is_solid(in) && at == in->info->depth ? SVO_FILL_SOLID : SVO_FILL_SURFACE, at, 0, 0, probe, fine, err));
     qsort(probe->codes.data, probe->codes.size / 8, 8, by_code);
     e->depth = fine->depth;
     e->trial_voxels = fine->nodes[fine->depth];
@@ -141,20 +148,46 @@ static svo_result trials(const estimate_input *in, uint32_t at, probes *probe, r
 
 /* Nodes of a level over 4^level tend to a constant as 1 - k 2^-level does (folds and neighbours that share voxels become rare): two
  * levels of the trial give the constant. */
-static void extrapolate(const trial *fine, uint32_t depth, double *voxels, double *nodes)
+static double surface_nodes(const trial *fine, uint32_t level)
 {
-    const double trial_voxels = (double)fine->nodes[fine->depth];
-    double total = 0, most = fine->depth > 0 && trial_voxels > 0 ? 2 - 4 * (double)fine->nodes[fine->depth - 1] / trial_voxels : 1;
+    const double voxels = (double)fine->nodes[fine->depth];
+    if (level <= fine->depth) return (double)fine->nodes[level];
+    double most = fine->depth > 0 && voxels > 0 ? 2 - 4 * (double)fine->nodes[fine->depth - 1] / voxels : 1;
     if (most < 0.5) most = 0.5;
     if (most > 2) most = 2;
-    for (uint32_t l = 0; l <= fine->depth; l++) total += (double)fine->nodes[l];
-    *voxels = trial_voxels;
-    for (uint32_t l = fine->depth + 1; l <= depth; l++) {
-        double below = ldexp(1, -(int)(l - fine->depth));
-        *voxels = trial_voxels / (below * below) * (most - (most - 1) * below);
-        total += *voxels;
-    }
-    *nodes = total;
+    const double below = ldexp(1, -(int)(level - fine->depth));
+    return voxels / (below * below) * (most - (most - 1) * below);
+}
+
+/* What the inside makes of a surface. */
+typedef struct inside {
+    uint32_t depth;
+    double volume;         /* in voxels of that depth */
+    double bytes, seconds; /* times those of the surface */
+    double setup;          /* seconds, once */
+} inside;
+
+static svo_result try_inside(const estimate_input *in, run_estimate *e, inside *out, svo_error *err)
+{
+    trial solid, surface;
+    SVO_TRY(try_depth(in, SVO_FILL_SURFACE, SOLID_DEPTH, 0, 0, NULL, &surface, err));
+    SVO_TRY(try_depth(in, SVO_FILL_SOLID, SOLID_DEPTH, 0, 0, NULL, &solid, err));
+    e->trial_seconds += solid.seconds + surface.seconds;
+    /* Half of what the voxels of the surface hold is inside. */
+    *out = (inside){.depth = solid.depth, .volume = (double)solid.nodes[solid.depth] - (double)surface.nodes[surface.depth] / 2, .setup = solid.seconds_setup - surface.seconds_setup};
+    if (solid.nodes[solid.depth] == surface.nodes[surface.depth]) out->volume = 0; /* nothing is inside */
+    out->bytes = surface.bytes > 0 ? (double)solid.bytes / (double)surface.bytes : 1;
+    out->seconds = surface.seconds_voxels > 0 ? solid.seconds_voxels / surface.seconds_voxels : 1;
+    if (out->seconds < 1) out->seconds = 1;
+    if (out->setup < 0) out->setup = 0;
+    return SVO_OK;
+}
+
+/* Nodes of a level of the job. */
+static double level_nodes(const trial *fine, const inside *i, uint32_t level)
+{
+    const double surface = surface_nodes(fine, level);
+    return i == NULL || i->volume <= 0 ? surface : fmax(surface, ldexp(i->volume, 3 * ((int)level - (int)i->depth)) + surface / 2);
 }
 
 svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo_error *err)
@@ -162,7 +195,8 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
     run_estimate e = {0};
     const uint32_t depth = in->info->depth;
     trial fine = {0}, part = {0};
-    double area = 0, size = in->info->voxel_to_world[0], voxels, nodes;
+    inside within;
+    double area = 0, size = in->info->voxel_to_world[0], voxels, nodes = 0, surface;
     SVO_TRY(svo_estimate_area(in->mesh, in->options->threads, &area, err));
     e.voxels_by_area = area / (size * size);
     cli_phase(c, "trial");
@@ -170,19 +204,25 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
     svo_buffer_init(&probe.codes, in->allocator);
     pthread_mutex_init(&probe.lock, NULL);
     svo_result r = trials(in, depth < TRIAL_DEPTH ? depth : TRIAL_DEPTH, &probe, &e, &fine, err);
-    extrapolate(&fine, depth, &voxels, &nodes);
-    if (r == SVO_OK && depth > fine.depth) r = try_parts(in, &fine, &probe, voxels, &part, err);
+    surface = surface_nodes(&fine, depth);
+    if (r == SVO_OK && depth > fine.depth) r = try_parts(in, &fine, &probe, surface, &part, err);
+    const bool apart = is_solid(in) && depth > fine.depth;
+    if (r == SVO_OK && apart) r = try_inside(in, &e, &within, err);
     pthread_mutex_destroy(&probe.lock);
     svo_buffer_free(&probe.codes);
     if (r != SVO_OK) return r;
     const trial *t = part.nodes[depth] != 0 ? &part : &fine;
     const double tried = (double)t->nodes[t == &part ? depth : fine.depth];
     e.part_voxels = part.nodes[depth];
+    e.inside = apart;
     e.trial_seconds += part.seconds;
+    for (uint32_t l = 0; l <= depth; l++) nodes += level_nodes(&fine, apart ? &within : NULL, l);
+    voxels = level_nodes(&fine, apart ? &within : NULL, depth);
     e.voxels = (uint64_t)(voxels + 0.5);
     e.nodes = (uint64_t)(nodes + 0.5);
-    e.bytes = tried > 0 ? (uint64_t)((double)t->bytes / tried * voxels) : fine.bytes;
-    e.seconds = in->seconds_before + t->seconds_setup + (tried > 0 ? t->seconds_voxels / tried * voxels : t->seconds_voxels);
+    e.bytes = tried > 0 ? (uint64_t)((double)t->bytes / tried * surface * (apart ? within.bytes : 1)) : fine.bytes;
+    e.seconds = in->seconds_before + t->seconds_setup + (apart ? within.setup : 0) +
+                (tried > 0 ? t->seconds_voxels / tried * surface * (apart ? within.seconds : 1) : t->seconds_voxels);
     e.temporary = in->spill != NULL ? fmt_spill_count(in->spill).bytes_peak : 0;
     struct rusage usage;
     if (getrusage(RUSAGE_SELF, &usage) == 0) e.memory = (uint64_t)usage.ru_maxrss * 1024;
@@ -221,8 +261,18 @@ void estimate_print(cli *c, const run_estimate *e, const char *output, const fmt
     printf("time         %.1f s\n", e->seconds);
     if (disk) printf("free disk    %.1f MB at %s\n", (double)left / 1e6, mount);
     printf("basis        voxels, nodes: the job at depth %u (%llu voxels), extrapolated; by the area of the surface alone: %.4g voxels.\n"
-           "             output, time: parts of the job (%llu voxels), extrapolated; temporary, memory: what these took. All that in %.2f s.\n",
-           e->depth, (unsigned long long)e->trial_voxels, e->voxels_by_area, (unsigned long long)(e->part_voxels != 0 ? e->part_voxels : e->trial_voxels), e->trial_seconds);
+           "             output, time: parts of the job (%llu voxels), extrapolated; temporary, memory: what these took.%s All that in %.2f s.\n",
+           e->depth, (unsigned long long)e->trial_voxels, e->voxels_by_area, (unsigned long long)(e->part_voxels != 0 ? e->part_voxels : e->trial_voxels),
+           e->inside ? " These are of the surface; inside: the solid at depth 8." : "", e->trial_seconds);
+}
+
+/* Does what tells inside from outside lie in temporary files for sure? (svo_voxelize.c has it in memory where 200 bytes a triangle are less than half.) */
+static bool is_paged(const estimate_input *in, double triangles)
+{
+    for (uint32_t i = 0; i < in->mesh->shape_count; i++)
+        for (uint32_t p = 0; p < in->mesh->shapes[i].part_count; p++)
+            if (in->mesh->shapes[i].parts[p].soup != NULL) return true;
+    return in->options->memory != 0 && triangles * 400 > (double)in->options->memory;
 }
 
 svo_result estimate_check_disk(cli *c, const estimate_input *in, const char *output, svo_error *err)
@@ -234,10 +284,24 @@ svo_result estimate_check_disk(cli *c, const estimate_input *in, const char *out
     if (in->spill != NULL) fmt_disk_free(fmt_spill_folder(in->spill), &temp_left, temp_mount, sizeof temp_mount);
     double area = 0, size = in->info->voxel_to_world[0], triangles = (double)svo_mesh_count(in->mesh).placed_triangles;
     SVO_TRY(svo_estimate_area(in->mesh, in->options->threads, &area, err));
-    double most = file ? (area / (size * size) + 8 * triangles) * VOXEL_BYTES : 0, temporary = in->spill != NULL ? triangles * RECORD_BYTES : 0;
+    double most = file ? (area / (size * size) + 8 * triangles) * VOXEL_BYTES * (is_solid(in) ? 2 : 1) : 0;
+    const double temporary = in->spill != NULL ? triangles * (is_solid(in) ? RECORD_BYTES + SOLID_MOST : RECORD_BYTES) : 0;
+    /* What tells inside from outside needs no trial, which would write it. */
+    const double least = is_solid(in) && in->spill != NULL && is_paged(in, triangles) ? triangles * SOLID_LEAST : 0;
+    if (least > (double)temp_left)
+        return svo_fail(err, SVO_LIMIT, "temporary files of the solid will take more than %.1f MB, but %.60s has %.1f MB free; choose another place with --temp, allow more --memory, or "
+                        "give --ignore-free-space", least / 1e6, temp_mount, (double)temp_left / 1e6);
     if (most + temporary < (double)(left < temp_left ? left : temp_left)) return SVO_OK;
     run_estimate e;
-    SVO_TRY(estimate_run(c, in, &e, err));
+    svo_error inner = {0};
+    const svo_result tried = estimate_run(c, in, &e, &inner);
+    if (tried == SVO_IO && temporary > (double)temp_left) /* the trial is smaller than the job, but for the triangles */
+        return svo_fail(err, SVO_LIMIT, "temporary files do not fit on %.60s, which has %.1f MB free (%.80s); choose another place with --temp, or give --ignore-free-space", temp_mount,
+                        (double)temp_left / 1e6, inner.message);
+    if (tried != SVO_OK) {
+        if (err != NULL) *err = inner;
+        return tried;
+    }
     uint64_t held = in->spill != NULL ? fmt_spill_count(in->spill).bytes_now : 0, extra = e.temporary > held ? e.temporary - held : 0;
     bool same = strcmp(mount, temp_mount) == 0;
     if (file && e.bytes + (same ? extra : 0) > left)

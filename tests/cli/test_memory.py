@@ -236,6 +236,23 @@ def test_disk_full(folder):
         subprocess.run(["umount", str(disk)])
 
 
+def test_temporary_files_of_a_solid_are_counted_before(folder):
+    """What tells inside from outside: the disk holds the triangles, but not that as well."""
+    mesh = sheet(folder, "ply", 300000, True, "torus")
+    disk = small_disk(folder, 30)
+    command = ["svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "8", "--attributes", "none", "--memory", "20M", "--temp", disk, "--fill", "solid"]
+    try:
+        r = tool(*command)
+        check(r.code == 6 and "solid" in r.err and "--temp" in r.err, r)
+        check(list(disk.iterdir()) == [] and not (folder / "a.svo").exists())
+        subprocess.run(["mount", "-o", "remount,size=200m", str(disk)], check=True)
+        r = tool(*command)
+        check(r.code == 0, r)
+        check(list(disk.iterdir()) == [])
+    finally:
+        subprocess.run(["umount", str(disk)])
+
+
 def test_killed_runs_leave_nothing(folder):
     mesh = sheet(folder, "obj", 300000)
     temp = folder / "temp"

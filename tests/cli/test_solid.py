@@ -121,6 +121,22 @@ def test_threads_and_shards_do_not_show(folder):
         check((folder / "m.svo").read_bytes() == one.read_bytes(), count)
 
 
+def test_estimates_follow_the_volume(folder):
+    """The dry run tries the surface, and the inside once at a lower depth: a voxel inside has 8 children, one of the surface about 4."""
+    mesh = obj(folder / "s.obj", sphere((0, 0, 0), 1, 40) + sphere((3, 0, 0), 0.5, 24))
+    sheet = obj(folder / "q.obj", quad((0, 0, 0), (1, 0.1, 0), (1, 0.1, 1), (0, 0, 1)))
+    for path, depth, inside in ((mesh, 9, True), (mesh, 10, True), (mesh, 12, True), (sheet, 10, False)):
+        args = ["--depth", depth, "--fill", "solid", "--attributes", "none"]
+        r = run("svo-voxelize", path, "--dry-run", "-o", folder / "no.svo", "--report", folder / "e.json", "--force", *args)
+        check(not (folder / "no.svo").exists() and ("inside: the solid" in r.text) == (depth > 9), r)
+        e = json.loads((folder / "e.json").read_text())["estimate"]
+        o = voxelize(folder, path, *args)[1]["output"]
+        for key in ("voxels", "nodes"):
+            check(abs(e[key] / o[key] - 1) < 0.03, (depth, key, e, o))
+        check(abs(math.log(e["bytes"] / o["bytes"])) < math.log(2), (depth, e, o["bytes"]))
+        check((o["voxels"] > 3 * e["voxels_by_area"]) == inside, (e, o))
+
+
 def test_packing_keeps_voxels_and_values(folder):
     mesh = obj(folder / "p.obj", sphere((0, 0, 0), 1, 10) + box((0.2, -2, -0.3), (0.9, 2, 0.4)))
     for depth in (1, 2, 3, 6, 9):
