@@ -182,18 +182,20 @@ static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch 
     b->numbers = r->before != NULL;
     bool start = trace_packets(r, lod, b);
     r->code->trace(r, lod, start, b);
-    memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
+    if (b->found < count) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
     for (uint32_t i = 0; i < (count + 7) / 8; i++)
         for (uint32_t rest = b->unsure[i]; rest != 0; rest &= rest - 1) {
             uint32_t ray = 8 * i + (uint32_t)__builtin_ctz(rest);
             svoi_raycast(r->view, cache, &rays[ray], 1, &hits[ray]);
         }
     r->code->hits(r, lod, b, hits);
-    for (uint32_t j = 0; j < b->found; j++) {
-        const uint32_t i = (uint32_t)b->found_ray[j];
-        if (b->again[j / 8] >> j % 8 & 1) svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
-        else if (!r->view->unnumbered) hits[i].attribute = number_of(r, cache, b, j);
-    }
+    for (uint32_t j = 0; j < b->found; j += 8)
+        for (uint32_t rest = b->again[j / 8]; rest != 0; rest &= rest - 1) {
+            const uint32_t i = (uint32_t)b->found_ray[j + (uint32_t)__builtin_ctz(rest)];
+            svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
+        }
+    for (uint32_t j = 0; j < b->found && !r->view->unnumbered; j++)
+        if (!(b->again[j / 8] >> j % 8 & 1)) hits[b->found_ray[j]].attribute = number_of(r, cache, b, j);
 }
 
 static void trace_all(const svo_rays *r, const svo_ray *rays, uint64_t count, svo_hit *hits, bool *blocked)

@@ -266,12 +266,27 @@ typedef struct group {
 } group;
 
 /* Results of lanes that have finished with something to tell. */
-INLINE void flush(const group *g, const svo_rays *r, __mmask16 m, svoi_ray_batch *b)
+INLINE void flush(const group *g, const svo_rays *r, bool lod, __mmask16 m, svoi_ray_batch *b)
 {
     const lanes *l = &g->l;
+    const uint32_t low_count = (uint32_t)__builtin_popcount(m & 0xff);
     _mm512_storeu_si512(&b->found_ray[b->found], _mm512_maskz_compress_epi32(m, l->ray));
     _mm512_storeu_si512(&b->state[b->found], _mm512_maskz_compress_epi32(m, l->state));
     for (int k = 0; k < 3; k++) _mm512_storeu_si512(&b->at[k][b->found], _mm512_maskz_compress_epi32(m, l->q[k]));
+    if (!lod) {
+        /* A ray in a finest voxel is where it entered it, or where it began: the last plane that it has crossed is the voxel's. */
+        const __m512i size = word(1 << r->fraction), keep = word(-(1 << r->fraction));
+        __m512i face = word(SVO_FACE_INSIDE);
+        for (int k = 2; k >= 0; k--) {
+            const __m512i near = _mm512_add_epi32(_mm512_and_si512(l->q[k], keep), _mm512_and_si512(l->backward[k], size));
+            const __mmask16 entered = both(_mm512_cmp_pd_mask(_mm512_mul_pd(_mm512_sub_pd(low_doubles(near), l->o[k].a), l->inv[k].a), l->t.a, _CMP_GE_OQ),
+                                           _mm512_cmp_pd_mask(_mm512_mul_pd(_mm512_sub_pd(high_doubles(near), l->o[k].b), l->inv[k].b), l->t.b, _CMP_GE_OQ));
+            face = choose(entered, _mm512_sub_epi32(word(2 * k), l->backward[k]), face);
+        }
+        _mm512_storeu_si512(&b->face_found[b->found], _mm512_maskz_compress_epi32(m, face));
+        _mm512_storeu_pd(&b->t_found[b->found], _mm512_maskz_compress_pd((__mmask8)m, l->t.a));
+        _mm512_storeu_pd(&b->t_found[b->found + low_count], _mm512_maskz_compress_pd((__mmask8)(m >> 8), l->t.b));
+    }
     if (b->numbers) {
         /* of the node itself, and of those above it but the root */
         const __mmask16 hit = _mm512_mask_cmpneq_epi32_mask(m, l->state, word(SVOI_RAY_DOUBT));
@@ -293,7 +308,7 @@ INLINE bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, boo
     if (__builtin_popcount(g->active) > REFILL) return true;
     uint32_t rest = (start ? b->starts : b->count) - *next;
     if (rest == 0) return g->active != 0;
-    if (g->finished != 0) flush(g, r, g->finished, b);
+    if (g->finished != 0) flush(g, r, lod, g->finished, b);
     g->finished = 0;
     __mmask16 empty = (__mmask16)~g->active;
     uint32_t space = (uint32_t)__builtin_popcount(empty), taken = space < rest ? space : rest;
@@ -496,7 +511,7 @@ INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
         for (int i = 0; i < GROUPS; i++) step(&g[i], r);
     }
     for (int i = 0; i < GROUPS; i++)
-        if (g[i].finished != 0) flush(&g[i], r, g[i].finished, b);
+        if (g[i].finished != 0) flush(&g[i], r, lod, g[i].finished, b);
 }
 
 void svoi_rays_trace_avx512(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)

@@ -7,6 +7,8 @@
 #include <immintrin.h>
 #include <math.h>
 
+#define INLINE static inline __attribute__((always_inline))
+
 /* Places in a ray, in doubles, and in a hit. */
 enum { ORIGIN = 0, DIRECTION = 3, T_MIN = 6, SPREAD = 8, OFFSET = 9, RAY = 10 };
 _Static_assert(sizeof(svo_ray) == 8 * RAY && offsetof(svo_ray, direction) == 8 * DIRECTION && offsetof(svo_ray, t_min) == 8 * T_MIN &&
@@ -16,8 +18,44 @@ _Static_assert(sizeof(svo_hit) == 32 && offsetof(svo_hit, attribute) == 8 && off
                    offsetof(svo_hit, face) == 29 && offsetof(svo_hit, hit) == 30,
                "layout of svo_hit");
 
+/* t, cells and flags of 8 hits, and the hits. */
+INLINE void put_hits(svoi_ray_batch *b, uint32_t j, uint32_t count, __m512d enter, const __m256i cell[3], __m256i flags, svo_hit *hits)
+{
+    enter = _mm512_add_pd(enter, _mm512_setzero_pd()); /* no negative zero */
+    /* rows t, attribute (not known yet), cells 0 and 1, cell 2 and the rest; to columns */
+    const __m512i first = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[0]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(cell[1]), 32));
+    const __m512i second = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[2]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(flags), 32));
+    const __m512i ta = _mm512_unpacklo_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512()), tb = _mm512_unpackhi_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512());
+    const __m512i ca = _mm512_unpacklo_epi64(first, second), cb = _mm512_unpackhi_epi64(first, second);
+    _Alignas(64) uint64_t out[4][8]; /* hits 0 4, 1 5, 2 6, 3 7 */
+    const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13), high = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
+    _mm512_store_si512(out[0], _mm512_permutex2var_epi64(ta, low, ca));
+    _mm512_store_si512(out[1], _mm512_permutex2var_epi64(tb, low, cb));
+    _mm512_store_si512(out[2], _mm512_permutex2var_epi64(ta, high, ca));
+    _mm512_store_si512(out[3], _mm512_permutex2var_epi64(tb, high, cb));
+    for (uint32_t i = 0; i < count; i++)
+        _mm256_storeu_si256((__m256i *)&hits[b->found_ray[j + i]], _mm256_load_si256((const __m256i *)&out[i & 3][i & 4]));
+}
+
+/* Of finest voxels, whose t and face are known. */
+static void finest_hits(const svo_rays *r, svoi_ray_batch *b, svo_hit *hits)
+{
+    for (uint32_t j = 0; j < b->found; j += 8) {
+        const uint32_t count = b->found - j < 8 ? b->found - j : 8;
+        __m256i cell[3];
+        b->again[j / 8] = (__mmask8)((1u << count) - 1) & _mm256_cmpeq_epi32_mask(_mm256_loadu_si256((const __m256i *)&b->state[j]), _mm256_set1_epi32(SVOI_RAY_DOUBT));
+        for (int k = 0; k < 3; k++) cell[k] = _mm256_srai_epi32(_mm256_loadu_si256((const __m256i *)&b->at[k][j]), (int)r->fraction);
+        const __m256i flags = _mm256_or_si256(_mm256_slli_epi32(_mm256_loadu_si256((const __m256i *)&b->face_found[j]), 8), _mm256_set1_epi32((int)r->view->depth + (1 << 16)));
+        put_hits(b, j, count, _mm512_loadu_pd(&b->t_found[j]), cell, flags, hits);
+    }
+}
+
 void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits)
 {
+    if (!lod) {
+        finest_hits(r, b, hits);
+        return;
+    }
     const double *rays = (const double *)b->rays;
     const __m512d zero = _mm512_setzero_pd();
     for (uint32_t j = 0; j < b->found; j += 8) {
@@ -46,29 +84,14 @@ void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_h
         const __mmask8 inside = _mm512_cmp_pd_mask(enter, t_min, _CMP_LT_OQ);
         enter = _mm512_mask_mov_pd(enter, inside, t_min);
         face = _mm256_mask_mov_epi32(face, inside, _mm256_set1_epi32(SVO_FACE_INSIDE));
-        if (lod) {
-            /* the kernel may see that a node is small enough only after the ray has entered it, and then it was not when it counted */
-            const __m512d spread = _mm512_mask_i32gather_pd(zero, lanes, at, rays + SPREAD, 8), offset = _mm512_mask_i32gather_pd(zero, lanes, at, rays + OFFSET, 8);
-            const __mmask8 small = _mm512_cmp_pd_mask(_mm512_cvtepi32_pd(size), _mm512_add_pd(_mm512_mul_pd(spread, enter), offset), _CMP_LE_OQ);
-            again |= sure & (__mmask8)~small & _mm256_test_epi32_mask(above, above);
-        }
+        /* the kernel may see that a node is small enough only after the ray has entered it, and then it was not when it counted */
+        const __m512d spread = _mm512_mask_i32gather_pd(zero, lanes, at, rays + SPREAD, 8), offset = _mm512_mask_i32gather_pd(zero, lanes, at, rays + OFFSET, 8);
+        const __mmask8 small = _mm512_cmp_pd_mask(_mm512_cvtepi32_pd(size), _mm512_add_pd(_mm512_mul_pd(spread, enter), offset), _CMP_LE_OQ);
+        again |= sure & (__mmask8)~small & _mm256_test_epi32_mask(above, above);
         b->again[j / 8] = again;
-        enter = _mm512_add_pd(enter, zero); /* no negative zero */
         __m256i flags = _mm256_sub_epi32(_mm256_set1_epi32((int)r->view->depth + (1 << 16)), above);
         flags = _mm256_or_si256(flags, _mm256_slli_epi32(face, 8));
-        /* rows t, attribute (not known yet), cells 0 and 1, cell 2 and the rest; to columns */
-        const __m512i first = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[0]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(cell[1]), 32));
-        const __m512i second = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[2]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(flags), 32));
-        const __m512i ta = _mm512_unpacklo_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512()), tb = _mm512_unpackhi_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512());
-        const __m512i ca = _mm512_unpacklo_epi64(first, second), cb = _mm512_unpackhi_epi64(first, second);
-        _Alignas(64) uint64_t out[4][8]; /* hits 0 4, 1 5, 2 6, 3 7 */
-        const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13), high = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
-        _mm512_store_si512(out[0], _mm512_permutex2var_epi64(ta, low, ca));
-        _mm512_store_si512(out[1], _mm512_permutex2var_epi64(tb, low, cb));
-        _mm512_store_si512(out[2], _mm512_permutex2var_epi64(ta, high, ca));
-        _mm512_store_si512(out[3], _mm512_permutex2var_epi64(tb, high, cb));
-        for (uint32_t i = 0; i < count; i++)
-            _mm256_storeu_si256((__m256i *)&hits[b->found_ray[j + i]], _mm256_load_si256((const __m256i *)&out[i & 3][i & 4]));
+        put_hits(b, j, count, enter, cell, flags, hits);
     }
 }
 #else

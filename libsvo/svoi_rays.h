@@ -88,6 +88,9 @@ struct svoi_ray_batch {
     bool numbers; /* `base` and `node_found` are wanted */
     uint32_t found;
     _Alignas(64) int32_t found_ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], state[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], at[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    /* Of finest voxels, where no ray has a level of detail; not set in doubt, nor by every kernel: where the ray enters it, and its face. */
+    _Alignas(64) double t_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
+    _Alignas(64) int32_t face_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     uint8_t again[SVOI_RAYS_BATCH / 8 + 2];
     /* For numbers: unit of the node (or brick) whose cell was hit, and the number of its attribute. Not set in doubt. */
     _Alignas(64) int32_t node_found[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], base[SVOI_RAYS_BATCH + SVOI_RAYS_PAD];

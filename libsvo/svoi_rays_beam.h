@@ -28,6 +28,9 @@ enum {
 };
 #define WIDEST 0.125 /* a packet is not made when it is wider than this part of the root */
 
+INLINE double least(double a, double b) { return a < b ? a : b; }
+INLINE double most(double a, double b) { return a > b ? a : b; }
+
 /* Extremes of some rays at the two ends of a packet's way. */
 typedef struct ends { double v[2][2], w[2][2]; /* [end][low, high] */ } ends;
 
@@ -116,13 +119,13 @@ static void join(packet *p)
         const ends *f = &p->ends[g];
         if (!any) e = *f;
         for (int i = 0; i < 2; i++) {
-            e.v[i][0] = fmin(e.v[i][0], f->v[i][0]), e.v[i][1] = fmax(e.v[i][1], f->v[i][1]);
-            e.w[i][0] = fmin(e.w[i][0], f->w[i][0]), e.w[i][1] = fmax(e.w[i][1], f->w[i][1]);
+            e.v[i][0] = least(e.v[i][0], f->v[i][0]), e.v[i][1] = most(e.v[i][1], f->v[i][1]);
+            e.w[i][0] = least(e.w[i][0], f->w[i][0]), e.w[i][1] = most(e.w[i][1], f->w[i][1]);
         }
         any = true;
     }
     if (!any) return;
-    double a = fmax(e.v[0][1] - e.v[0][0], e.w[0][1] - e.w[0][0]), z = fmax(e.v[1][1] - e.v[1][0], e.w[1][1] - e.w[1][0]), length = fabs(y->to - y->from);
+    double a = most(e.v[0][1] - e.v[0][0], e.w[0][1] - e.w[0][0]), z = most(e.v[1][1] - e.v[1][0], e.w[1][1] - e.w[1][0]), length = fabs(y->to - y->from);
     y->width = a;
     y->width_slope = length > 0 ? (z - a) / length : 0;
     make_beam(y, &e, &p->beam);
@@ -167,9 +170,9 @@ static bool make_packet(packet *p, const svo_rays *r, bool lod, svoi_ray_batch *
     }
     if (!(wide_most(steep) <= 4)) return false;
     y->from = back ? wide_most(start) : wide_least(start);
-    y->to = back ? fmax(wide_least(end), side[u]) : fmin(wide_most(end), side[u]);
+    y->to = back ? most(wide_least(end), side[u]) : least(wide_most(end), side[u]);
     if (!(back ? y->to <= y->from : y->from <= y->to)) y->to = y->from;
-    y->low = (int32_t)fmax(fmin(y->from, y->to), 0) - 1, y->high = (int32_t)fmin(fmax(y->from, y->to), 0x1p30) + 1;
+    y->low = (int32_t)most(least(y->from, y->to), 0) - 1, y->high = (int32_t)least(most(y->from, y->to), 0x1p30) + 1;
     wide limit[2] = {wide_set(0), wide_set(0)};
     for (uint32_t g = 0; g < p->groups; g++) {
         uint32_t i = first + 16 * g;
@@ -187,12 +190,12 @@ static bool make_packet(packet *p, const svo_rays *r, bool lod, svoi_ray_batch *
         p->ready[g] = false;
     }
     join(p);
-    if (!(fmin(y->width, y->width + y->width_slope * fabs(y->to - y->from)) <= WIDEST * 0x1p30)) return false;
+    if (!(least(y->width, y->width + y->width_slope * fabs(y->to - y->from)) <= WIDEST * 0x1p30)) return false;
     if (lod) {
         double a = wide_most(limit[0]), z = wide_most(limit[1]), length = fabs(y->to - y->from);
-        y->limit = fmax(a, 0);
-        y->limit_slope = length > 0 ? fmax(0, z - a) / length : 0;
-        if (length == 0) y->limit = fmax(y->limit, z);
+        y->limit = most(a, 0);
+        y->limit_slope = length > 0 ? most(0, z - a) / length : 0;
+        if (length == 0) y->limit = most(y->limit, z);
     }
     for (uint32_t i = 0; i < 3; i++) y->below[i] = below[y->axis[i]];
     for (uint32_t i = 0; i < 4; i++) y->layers[i] = y->below[0][i + 1] & ~y->below[0][i];
@@ -213,7 +216,7 @@ typedef struct frame {
 INLINE double far_side(const way *y, const int32_t corner[3], uint32_t s)
 {
     double u = corner[y->axis[0]];
-    double far = y->negative >> y->axis[0] & 1 ? fmin(y->from, fmax(y->to, u)) : fmax(y->from, fmin(y->to, u + (double)((uint32_t)1 << s)));
+    double far = y->negative >> y->axis[0] & 1 ? least(y->from, most(y->to, u)) : most(y->from, least(y->to, u + (double)((uint32_t)1 << s)));
     return fabs(far - y->from);
 }
 
@@ -337,16 +340,17 @@ static bool visit_brick(packet *p, uint32_t unit, uint32_t above, const int32_t 
         for (; cells != 0 && p->active[g] != 0; cells &= cells - 1) {
             int32_t at[3];
             corner_of(corner, (uint32_t)__builtin_ctzll(cells) ^ p->y.flip, s, at);
-            wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY);
+            wide in = wide_load(&b->in.t[i]), out = wide_set(INFINITY), plane[3];
             for (int k = 0; k < 3; k++) {
                 int32_t size = (int32_t)1 << s, forward = p->y.negative >> k & 1 ? 0 : size;
                 wide o = wide_load(&b->in.o[k][i]), inv = wide_load(&b->in.inv[k][i]);
-                in = wide_max(wide_mul(wide_sub(wide_set(at[k] + size - forward), o), inv), in);
+                plane[k] = wide_mul(wide_sub(wide_set(at[k] + size - forward), o), inv);
+                in = wide_max(plane[k], in);
                 out = wide_min(wide_mul(wide_sub(wide_set(at[k] + forward), o), inv), out);
             }
             uint32_t hits = wide_less(in, out) & wide_at_most(in, wide_load(&b->in.t_max[i])) & p->active[g];
             if (hits == 0) continue;
-            keep_found(b, i, hits, at, (int32_t)s + 1, (int32_t)unit, (int32_t)base);
+            keep_found(b, i, hits, in, plane, p->y.negative, at, (int32_t)s + 1, (int32_t)unit, (int32_t)base);
             p->active[g] &= ~hits;
         }
         after += p->active[g] != 0;
@@ -375,9 +379,9 @@ INLINE void traverse(packet *p, bool lod, bool any)
         corner_of(f->corner, cell, s, at);
         uint32_t rank = (uint32_t)__builtin_popcountll(f->mask & (((uint64_t)1 << cell) - 1));
         uint32_t child = f->child + (s == r->fraction + 2 ? rank : 2 * rank);
-        double far = far_side(&p->y, at, s), least = (double)((uint32_t)1 << (s - 2));
-        bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > (any ? WIDE_ANY : WIDE) * least;
-        if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= least;
+        double far = far_side(&p->y, at, s), narrow = (double)((uint32_t)1 << (s - 2));
+        bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > (any ? WIDE_ANY : WIDE) * narrow;
+        if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= narrow;
         if (!alone) {
             s -= 2;
             f++;

@@ -89,8 +89,9 @@ INLINE void wide_fill(int32_t *to, int32_t x)
 }
 
 /* The rays `hits` of the 16 from `i` on have met a cell of a node. */
-INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, const int32_t at[3], int32_t state, int32_t node, int32_t base)
+INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, const wide plane[3], uint8_t negative, const int32_t at[3], int32_t state, int32_t node, int32_t base)
 {
+    (void)in, (void)plane, (void)negative; /* this kernel finds t and face with the others */
     for (; hits != 0; hits &= hits - 1, b->found++) {
         b->found_ray[b->found] = b->in.ray[i + (uint32_t)__builtin_ctz(hits)];
         b->state[b->found] = state, b->node_found[b->found] = node, b->base[b->found] = base;

@@ -61,9 +61,13 @@ INLINE void keep_doubles(double *to, __mmask16 m, wide x)
 }
 INLINE void keep_words(int32_t *to, __mmask16 m, __m512i x) { _mm512_storeu_si512(to, _mm512_maskz_compress_epi32(m, x)); }
 
-/* The rays `hits` of the 16 from `i` on have met a cell of a node. */
-INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, const int32_t at[3], int32_t state, int32_t node, int32_t base)
+/* The rays `hits` of the 16 from `i` on have met a cell of a node, which they enter at `in` through the first plane for which plane[k] == in. */
+INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, const wide plane[3], uint8_t negative, const int32_t at[3], int32_t state, int32_t node, int32_t base)
 {
+    __m512i face = _mm512_set1_epi32(SVO_FACE_INSIDE);
+    for (int k = 2; k >= 0; k--) face = _mm512_mask_mov_epi32(face, (__mmask16)wide_at_most(in, plane[k]), _mm512_set1_epi32(2 * k + (negative >> k & 1)));
+    keep_doubles(&b->t_found[b->found], (__mmask16)hits, in);
+    keep_words(&b->face_found[b->found], (__mmask16)hits, face);
     keep_words(&b->found_ray[b->found], (__mmask16)hits, _mm512_loadu_si512(&b->in.ray[i]));
     wide_fill(&b->state[b->found], state);
     for (int k = 0; k < 3; k++) wide_fill(&b->at[k][b->found], at[k]);
