@@ -35,7 +35,11 @@ INLINE double most(double a, double b) { return a > b ? a : b; }
 typedef struct ends { double v[2][2], w[2][2]; /* [end][low, high] */ } ends;
 
 /* A beam as `touch` wants it: per axis low bounds of the four layers of cells across the way, then high ones. */
-typedef struct beam { _Alignas(32) float offset[2][8], slope[2][8], layer[2][8]; } beam;
+typedef struct beam {
+    _Alignas(32) float offset[2][8], slope[2][8], layer[2][8];
+    /* The four lines as `beside` wants them: low and high of v, then of w, high ones with the other sign. */
+    _Alignas(16) float line_offset[4], line_slope[4];
+} beam;
 
 typedef struct way {
     uint32_t axis[3]; /* the packet's main axis, then the two others */
@@ -47,6 +51,8 @@ typedef struct way {
     const uint64_t *below[3]; /* by axis of `axis`: cells whose coordinate is less than i */
     uint32_t flip;  /* of cell numbers, to the order of the rays */
     uint8_t negative; /* bit k: direction[k] < 0 */
+    /* Where `beside` finds the sides of a box: high and low of v, of w, then low and high of u; their fields in a node's box, and the axes. */
+    _Alignas(32) int32_t box_field[8], box_axis[8];
 } way;
 
 /* Cells of a node of 4x4x4 whose coordinate on an axis is below 0 .. 4. */
@@ -70,6 +76,8 @@ static void make_beam(const way *y, const ends *e, beam *b)
                 b->slope[k][4 * side + i] = (float)slope;
                 b->layer[k][4 * side + i] = (float)slope * (float)(i + far) + (float)side; /* cells below high + 1 */
             }
+            b->line_offset[2 * k + side] = (float)(side == 0 ? offset : -offset);
+            b->line_slope[2 * k + side] = (float)(side == 0 ? slope : -slope);
         }
 }
 
@@ -82,6 +90,20 @@ INLINE uint64_t touched(const way *y, const beam *b, const int32_t corner[3], ui
     uint64_t along = y->below[0][clamp4(((y->high - u) >> s) + 1)] & ~y->below[0][clamp4((y->low - u) >> s)];
     return along & touch(y->below[1], y->below[2], y->layers, b->offset[0], b->slope[0], b->layer[0], (float)u, (float)corner[y->axis[1]], (float)corner[y->axis[2]],
                          (float)(1.0 / (double)((uint32_t)1 << s)));
+}
+
+/* Does the beam miss the box of what is in a node at `corner` with edge 2^s? */
+INLINE bool beside(const way *y, const beam *b, uint32_t box, const int32_t corner[3], uint32_t s)
+{
+    const __m256i further = _mm256_setr_epi32(1, 0, 1, 0, 0, 1, 0, 0); /* high sides are inclusive */
+    __m256i at = _mm256_permutevar8x32_epi32(_mm256_castsi128_si256(_mm_setr_epi32(corner[0], corner[1], corner[2], 0)), _mm256_load_si256((const __m256i *)y->box_axis));
+    __m256i side = _mm256_and_si256(_mm256_srlv_epi32(_mm256_set1_epi32((int32_t)box), _mm256_load_si256((const __m256i *)y->box_field)), _mm256_set1_epi32(15));
+    __m256 sides = _mm256_cvtepi32_ps(_mm256_add_epi32(at, _mm256_sll_epi32(_mm256_add_epi32(side, further), _mm_cvtsi32_si128((int)s - 4))));
+    __m128 across = _mm_xor_ps(_mm256_castps256_ps128(sides), _mm_setr_ps(0, -0.0f, 0, -0.0f)), along = _mm256_extractf128_ps(sides, 1);
+    __m128 first = _mm_max_ps(_mm_shuffle_ps(along, along, 0x00), _mm_set1_ps((float)y->low)), last = _mm_min_ps(_mm_shuffle_ps(along, along, 0x55), _mm_set1_ps((float)y->high));
+    __m128 slope = _mm_load_ps(b->line_slope);
+    __m128 least_line = _mm_fmadd_ps(slope, _mm_blendv_ps(first, last, slope), _mm_load_ps(b->line_offset));
+    return _mm_movemask_ps(_mm_or_ps(_mm_cmpgt_ps(least_line, across), _mm_cmpgt_ps(first, last))) != 0;
 }
 
 INLINE uint64_t swap_bits(uint64_t m, uint64_t lower, unsigned by) { return (m >> by & lower) | (m & lower) << by; }
@@ -198,6 +220,8 @@ static bool make_packet(packet *p, const svo_rays *r, bool lod, svoi_ray_batch *
         if (length == 0) y->limit = most(y->limit, z);
     }
     for (uint32_t i = 0; i < 3; i++) y->below[i] = below[y->axis[i]];
+    static const uint8_t order[8] = {1, 1, 2, 2, 0, 0, 0, 0}, high[8] = {1, 0, 1, 0, 0, 1, 0, 0};
+    for (uint32_t i = 0; i < 8; i++) y->box_axis[i] = (int32_t)y->axis[order[i]], y->box_field[i] = 4 * y->box_axis[i] + 12 * high[i];
     for (uint32_t i = 0; i < 4; i++) y->layers[i] = y->below[0][i + 1] & ~y->below[0][i];
     return true;
 }
@@ -382,6 +406,7 @@ INLINE void traverse(packet *p, bool lod, bool any)
         double far = far_side(&p->y, at, s), narrow = (double)((uint32_t)1 << (s - 2));
         bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > (any ? WIDE_ANY : WIDE) * narrow;
         if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= narrow;
+        if (!lod && s > r->fraction + 2 && beside(&p->y, &p->beam, (uint32_t)(r->units[child + 1] >> 32), at, s)) continue;
         if (!alone) {
             s -= 2;
             f++;
