@@ -38,14 +38,6 @@ bool svoi_rays_have_avx512(void)
 
 static const double far_enough = 0x1p40; /* fixed-point units: beyond, the positions' error would come near to one unit */
 
-/* Does any ray have a level of detail? */
-static bool cones(const svo_ray *rays, uint32_t count)
-{
-    __m128d most = _mm_setzero_pd();
-    for (uint32_t i = 0; i < count; i++) most = _mm_max_pd(_mm_loadu_pd(&rays[i].spread), most); /* of NaN and a number the second */
-    return _mm_movemask_pd(_mm_cmpgt_pd(most, _mm_setzero_pd())) != 0;
-}
-
 /* The first eight doubles of eight rays: origins, directions, t_min, t_max. Rays from `count` on are copies of the last. */
 INLINE void load_rays(const svo_ray *rays, uint32_t count, __m512d field[8])
 {
@@ -63,75 +55,93 @@ INLINE void load_rays(const svo_ray *rays, uint32_t count, __m512d field[8])
 
 INLINE __m512d absolute(__m512d x) { return _mm512_abs_pd(x); }
 
-bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
+/* As prepare. Without `lod`, no ray is taken to have a level of detail; false where one has. */
+INLINE bool prepare(const svo_rays *r, bool lod, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
 {
     const double scale = ldexp(1, (int)r->fraction), root_size = ldexp(1, (int)r->view->tree_depth);
     const __m512d zero = _mm512_setzero_pd(), one = _mm512_set1_pd(1);
-    const bool lod = r->view->lod && cones(rays, count);
     const int32_t *low_side = lod ? r->root_low : r->low, *high_side = lod ? r->root_high : r->high;
     const __m256i unit_mask = _mm256_set1_epi32((1 << r->fraction) - 1), one_i = _mm256_set1_epi32(1);
+    __m128d cones[2] = {_mm_setzero_pd(), _mm_setzero_pd()};
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i += 8) {
-        __mmask8 lanes = count - i >= 8 ? 0xff : (__mmask8)((1u << (count - i)) - 1), usual = lanes, entering[3], negative[3];
+        __mmask8 lanes = count - i >= 8 ? 0xff : (__mmask8)((1u << (count - i)) - 1), usual, entering[3], negative[3];
         __m512d field[8], o[3], d[3], inv[3], near[3], spread = zero, offset = zero;
         for (uint32_t k = 0; k < 8 * sizeof *rays; k += 64) __builtin_prefetch((const char *)&rays[i + SVOI_RAYS_BATCH] + k); /* of the next batch */
         load_rays(rays + i, count - i, field);
+        for (uint32_t k = 0; !lod && k < 8; k++) cones[k & 1] = _mm_max_pd(_mm_loadu_pd(&rays[i + k < count ? i + k : i].spread), cones[k & 1]); /* of NaN and a number the second */
         const __m512d t_min = field[6], t_max = field[7];
         __m512d t = t_min, leave = _mm512_set1_pd(INFINITY);
         for (int k = 0; k < 3; k++) {
             o[k] = _mm512_mul_pd(field[k], _mm512_set1_pd(scale)), d[k] = _mm512_mul_pd(field[3 + k], _mm512_set1_pd(scale));
             inv[k] = _mm512_div_pd(one, d[k]);
-            /* NaN fails every one of these */
-            usual &= _mm512_cmp_pd_mask(absolute(o[k]), _mm512_set1_pd(far_enough), _CMP_LE_OQ);
-            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p-90), _CMP_GE_OQ);
-            usual &= _mm512_cmp_pd_mask(absolute(d[k]), _mm512_set1_pd(0x1p90), _CMP_LE_OQ); /* 1 / d, and planes times that, are normal floats */
-            negative[k] = _mm512_cmp_pd_mask(d[k], zero, _CMP_LT_OQ);
+            negative[k] = _mm512_movepi64_mask(_mm512_castpd_si512(d[k]));
             __m512d low = _mm512_mul_pd(_mm512_sub_pd(_mm512_set1_pd(low_side[k]), o[k]), inv[k]);
             __m512d high = _mm512_mul_pd(_mm512_sub_pd(_mm512_set1_pd(high_side[k]), o[k]), inv[k]);
             near[k] = _mm512_mask_mov_pd(low, negative[k], high);
             leave = _mm512_min_pd(leave, _mm512_mask_mov_pd(high, negative[k], low));
             t = _mm512_max_pd(near[k], t);
         }
-        usual &= _mm512_cmp_pd_mask(absolute(t_min), _mm512_set1_pd(0x1p300), _CMP_LE_OQ);
-        usual &= _mm512_cmp_pd_mask(t_max, t_max, _CMP_ORD_Q);
+        /* NaN fails the sums; 1 / d, and planes times that, are normal floats */
+        const __m512d far = _mm512_add_pd(_mm512_add_pd(absolute(o[0]), absolute(o[1])), absolute(o[2])), fast = _mm512_add_pd(_mm512_add_pd(absolute(d[0]), absolute(d[1])), absolute(d[2]));
+        usual = _mm512_mask_cmp_pd_mask(lanes, far, _mm512_set1_pd(far_enough), _CMP_LE_OQ);
+        usual = _mm512_mask_cmp_pd_mask(usual, fast, _mm512_set1_pd(0x1p90), _CMP_LE_OQ);
+        usual = _mm512_mask_cmp_pd_mask(usual, _mm512_min_pd(_mm512_min_pd(absolute(d[0]), absolute(d[1])), absolute(d[2])), _mm512_set1_pd(0x1p-90), _CMP_GE_OQ);
+        usual = _mm512_mask_cmp_pd_mask(usual, absolute(t_min), _mm512_set1_pd(0x1p300), _CMP_LE_OQ);
+        usual = _mm512_mask_cmp_pd_mask(usual, t_max, t_max, _CMP_ORD_Q);
         if (lod) {
             const __m256i at = _mm256_mullo_epi32(_mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), _mm256_set1_epi32((int)(sizeof *rays / 8)));
             spread = _mm512_mask_i32gather_pd(zero, lanes, at, &rays[i].spread, 8), offset = _mm512_mask_i32gather_pd(zero, lanes, at, &rays[i].offset, 8);
             /* the root itself is not a cell of any node: where it is small enough the ray is left to svo_raycast */
             __m512d limit = _mm512_add_pd(_mm512_mul_pd(spread, t), offset);
-            usual &= _mm512_cmp_pd_mask(limit, _mm512_set1_pd(root_size), _CMP_LT_OQ);
+            usual = _mm512_mask_cmp_pd_mask(usual, limit, _mm512_set1_pd(root_size), _CMP_LT_OQ);
         }
-        __mmask8 meets = usual & _mm512_cmp_pd_mask(t, leave, _CMP_LT_OQ) & _mm512_cmp_pd_mask(t, t_max, _CMP_LE_OQ), doubt = lanes & ~usual;
+        __mmask8 meets = _mm512_mask_cmp_pd_mask(_mm512_mask_cmp_pd_mask(usual, t, leave, _CMP_LT_OQ), t, t_max, _CMP_LE_OQ), doubt = lanes & ~usual;
         __m256i q[3];
         for (int k = 0; k < 3; k++) {
             entering[k] = _mm512_cmp_pd_mask(near[k], t, _CMP_GE_OQ);
             q[k] = _mm512_cvttpd_epi32(_mm512_fmadd_pd(d[k], t, o[k]));
             __m256i edge = _mm256_and_si256(_mm256_add_epi32(q[k], one_i), unit_mask);
-            doubt |= meets & (__mmask8)~entering[k] & _mm256_cmple_epu32_mask(edge, one_i);
+            doubt |= _mm256_mask_cmple_epu32_mask(meets & (__mmask8)~entering[k], edge, one_i);
             __m256i side = _mm256_mask_mov_epi32(_mm256_set1_epi32(low_side[k]), negative[k], _mm256_set1_epi32(high_side[k] - 1));
             q[k] = _mm256_mask_mov_epi32(q[k], entering[k], side);
         }
         meets &= (__mmask8)~doubt;
         __m256i number = _mm256_add_epi32(_mm256_set1_epi32((int)i), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
         b->unsure[i / 8] = doubt;
-        /* close the ranks */
+        if (meets != 0xff) { /* close the ranks */
+            for (int k = 0; k < 3; k++) {
+                o[k] = _mm512_maskz_compress_pd(meets, o[k]), d[k] = _mm512_maskz_compress_pd(meets, d[k]), inv[k] = _mm512_maskz_compress_pd(meets, inv[k]);
+                q[k] = _mm256_maskz_compress_epi32(meets, q[k]);
+            }
+            if (lod) spread = _mm512_maskz_compress_pd(meets, spread), offset = _mm512_maskz_compress_pd(meets, offset);
+            t = _mm512_maskz_compress_pd(meets, t);
+            number = _mm256_maskz_compress_epi32(meets, number);
+        }
         for (int k = 0; k < 3; k++) {
-            _mm512_storeu_pd(&b->in.o[k][kept], _mm512_maskz_compress_pd(meets, o[k]));
-            _mm512_storeu_pd(&b->in.d[k][kept], _mm512_maskz_compress_pd(meets, d[k]));
-            _mm512_storeu_pd(&b->in.inv[k][kept], _mm512_maskz_compress_pd(meets, inv[k]));
-            _mm256_storeu_si256((__m256i *)&b->in.q[k][kept], _mm256_maskz_compress_epi32(meets, q[k]));
+            _mm512_storeu_pd(&b->in.o[k][kept], o[k]);
+            _mm512_storeu_pd(&b->in.d[k][kept], d[k]);
+            _mm512_storeu_pd(&b->in.inv[k][kept], inv[k]);
+            _mm256_storeu_si256((__m256i *)&b->in.q[k][kept], q[k]);
         }
         if (lod) {
-            _mm512_storeu_pd(&b->in.spread[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(spread, _mm512_set1_pd(scale))));
-            _mm512_storeu_pd(&b->in.offset[kept], _mm512_maskz_compress_pd(meets, _mm512_mul_pd(offset, _mm512_set1_pd(scale))));
+            _mm512_storeu_pd(&b->in.spread[kept], _mm512_mul_pd(spread, _mm512_set1_pd(scale)));
+            _mm512_storeu_pd(&b->in.offset[kept], _mm512_mul_pd(offset, _mm512_set1_pd(scale)));
         }
-        _mm512_storeu_pd(&b->in.t[kept], _mm512_maskz_compress_pd(meets, t));
+        _mm512_storeu_pd(&b->in.t[kept], t);
         _mm512_storeu_pd(&b->in.t_max[kept], _mm512_maskz_compress_pd(meets, t_max));
-        _mm256_storeu_si256((__m256i *)&b->in.ray[kept], _mm256_maskz_compress_epi32(meets, number));
+        _mm256_storeu_si256((__m256i *)&b->in.ray[kept], number);
         kept += (uint32_t)__builtin_popcount(meets);
     }
     b->count = kept;
-    return lod;
+    return _mm_movemask_pd(_mm_cmpgt_pd(_mm_max_pd(cones[0], cones[1]), _mm_setzero_pd())) == 0;
+}
+
+bool svoi_rays_prepare_avx512(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
+{
+    if (prepare(r, false, rays, count, b) || !r->view->lod) return false;
+    prepare(r, true, rays, count, b);
+    return true;
 }
 
 /* ---- traversal ---------------------------------------------------------------------------------------------------- */
