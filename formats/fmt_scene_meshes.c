@@ -89,7 +89,7 @@ void fmti_warn_coarse(const fmt_scene_build *b)
         coarse += e->is_mesh && e->view != NULL && !e->view->empty && e->view->depth < COARSE_DEPTH;
     }
     if (coarse != 0)
-        svo_warn(b->options.voxelize.warnings, "%u of the meshes are less than %u voxels large at the scene's voxel size; a greater depth shows more of them",
+        svo_warn(b->options.voxelize.warnings, "%u of the meshes are less than %u voxels large at the scene's voxel size; a greater depth (--depth, --view-distance or --budget) shows more of them",
                  coarse, 1u << COARSE_DEPTH);
 }
 
