@@ -6,12 +6,10 @@
  * default light and from everywhere. The files, octrees of the same mesh without colours (any depth and bounds), are drawn by svo_render with both kernels, 1, 2 and 4
  * samples a side, and delta (`--footprint`) 0, 1, 2 and 4. A line each: root mean square difference of linear light over the pixels that the reference or the picture covers, pixels of silhouette error
  * (sum of differences in coverage), largest difference, bytes of the file, and thread CPU seconds with one thread, best of three. */
-#define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "embree_picture.h"
 #include "fmt_file.h"
@@ -21,26 +19,6 @@
 #include "svo_render.h"
 
 enum { REPEATS = 3 };
-
-static double seconds(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static void *get(size_t size)
-{
-    void *p = malloc(size);
-    if (p == NULL) fputs("out of memory\n", stderr), exit(1);
-    return p;
-}
-
-static void fail(const char *name, const svo_error *err)
-{
-    fprintf(stderr, "%s: %s\n", name, err->message);
-    exit(1);
-}
 
 static void compare(const char *name, uint64_t bytes, const svo_view *view, svo_render_options o, const float *reference)
 {

@@ -6,11 +6,9 @@
  * svo-render lights without shadows. The files, octrees of the same mesh without colours, are drawn under the same poses by every way of resampling (mipmap, direct, resize, emit), with
  * nodes at least 1, 2 and 4 samples wide (`--delta`) and 2x2 samples a pixel. A line each: boxes and cells, thread CPU seconds of what comes before drawing (selection, deformation, cells and their
  * octree) and of drawing, one thread, best of three; root mean square and largest difference of light, pixels of silhouette error. */
-#define _POSIX_C_SOURCE 200809L
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 
 #include "embree_picture.h"
 #include "fmt_file.h"
@@ -20,26 +18,6 @@
 #include "svo_resample.h"
 
 enum { SAMPLES = 2, REPEATS = 3 };
-
-static double seconds(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
-}
-
-static void *get(size_t size)
-{
-    void *p = malloc(size);
-    if (p == NULL) fputs("out of memory\n", stderr), exit(1);
-    return p;
-}
-
-static void fail(const char *name, const svo_error *err)
-{
-    fprintf(stderr, "%s: %s\n", name, err->message);
-    exit(1);
-}
 
 typedef struct posed_mesh {
     const char *name;

@@ -3,9 +3,32 @@
 #define EMBREE_PICTURE_H
 
 #include <math.h>
+#include <time.h>
 
 #include "embree_mesh.h"
 #include "svo_render.h"
+
+/* Of this thread. */
+static double seconds(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+/* Both end the program. */
+static void *get(size_t size)
+{
+    void *p = malloc(size);
+    if (p == NULL) fputs("out of memory\n", stderr), exit(1);
+    return p;
+}
+
+static void fail(const char *name, const svo_error *err)
+{
+    fprintf(stderr, "%s: %s\n", name, err->message);
+    exit(1);
+}
 
 enum { EMBREE_SAMPLES = 8 }; /* a side */
 
