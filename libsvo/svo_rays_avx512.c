@@ -504,11 +504,42 @@ void svoi_rays_begin_avx512(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_
 /* Two groups take turns part by part: while one waits for its last result the other works. */
 enum { GROUPS = 2 };
 
+/* Rays that a packet has brought to a node where their cells are filled go down, as in `begin`. */
+INLINE void sink(const svo_rays *r, svoi_ray_batch *b)
+{
+    const __m512i one = word(1), three = word(3), brick = word((int)r->fraction);
+    for (uint32_t i = 0; i < b->starts; i += 16) {
+        const svoi_ray_list *l = &b->start;
+        const __m512i q[3] = {_mm512_loadu_si512(&l->q[0][i]), _mm512_loadu_si512(&l->q[1][i]), _mm512_loadu_si512(&l->q[2][i])};
+        __m512i s = _mm512_loadu_si512(&b->s[i]), node = _mm512_loadu_si512(&b->node[i]);
+        __mmask16 down = b->starts - i >= 16 ? 0xffff : (__mmask16)((1u << (b->starts - i)) - 1);
+        while ((down = _mm512_mask_cmpneq_epi32_mask(down, s, brick)) != 0) {
+            __m512i units[4];
+            load_nodes(r->units, _mm512_maskz_mov_epi32(down, node), units);
+            const __m512i x = _mm512_and_si512(_mm512_srlv_epi32(q[0], s), three), y = _mm512_and_si512(_mm512_srlv_epi32(q[1], s), three), z = _mm512_and_si512(_mm512_srlv_epi32(q[2], s), three);
+            const __m512i c = _mm512_ternarylogic_epi32(x, _mm512_slli_epi32(y, 2), _mm512_slli_epi32(z, 4), 0xfe), bit = _mm512_sllv_epi32(one, _mm512_and_si512(c, word(31)));
+            const __mmask16 upper = _mm512_cmpge_epi32_mask(z, word(2));
+            const __m512i w = choose(upper, units[1], units[0]);
+            down = _mm512_mask_test_epi32_mask(down, w, bit);
+            __m512i rank = _mm512_popcnt_epi32(_mm512_and_si512(w, _mm512_sub_epi32(bit, one)));
+            rank = _mm512_mask_add_epi32(rank, upper, rank, _mm512_popcnt_epi32(units[0]));
+            rank = _mm512_mask_slli_epi32(rank, _mm512_cmpneq_epi32_mask(s, word((int)r->fraction + 2)), rank, 1);
+            for (uint32_t k = 1; k < r->levels; k++)
+                _mm512_mask_storeu_epi32(&b->stack[k][i], _mm512_mask_cmpeq_epi32_mask(down, s, word((int)(r->fraction + 2 * k))), node);
+            node = _mm512_mask_add_epi32(node, down, units[2], rank);
+            s = _mm512_mask_sub_epi32(s, down, s, word(2));
+        }
+        _mm512_storeu_si512(&b->s[i], s);
+        _mm512_storeu_si512(&b->node[i], node);
+    }
+}
+
 INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
 {
     group g[GROUPS];
     uint32_t next = 0;
     memset(g, 0, sizeof g);
+    if (start && !lod) sink(r, b);
     for (;;) {
         bool more = false;
         for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, lod, start, &next);

@@ -314,7 +314,7 @@ INLINE bool set_out(packet *p, bool lod, bool any, const frame *stack, const int
         if (met != 0) {
             if (any) t_max = wide_min(t_max, wide_before(out)); /* hits in the box are before `out` */
             uint32_t to = b->starts;
-            start_rays(b, i, met, in, t_max, plane, side, (1 << p->r->fraction) - 1);
+            start_rays(b, lod, i, met, in, t_max, plane, side, (1 << p->r->fraction) - 1);
             for (uint32_t k = 0; k < SVOI_RAYS_LEVELS && !any; k++) {
                 if (p->r->fraction + 2 * k < s || k >= p->r->levels) continue;
                 uint32_t above = p->r->levels - 1 - k; /* frame of that level */

@@ -101,7 +101,7 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
 
 /* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; side[k] is the cell before
  * such a plane. Where it is not certain in which finest voxel they are they count as found, in doubt. */
-INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
+INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
     _Alignas(32) double enter[16], leave[16];
     _Alignas(16) int32_t q[3][16];
@@ -127,7 +127,7 @@ INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, wid
             continue;
         }
         b->start.t[to] = enter[lane], b->start.t_max[to] = leave[lane];
-        b->start.spread[to] = b->in.spread[from], b->start.offset[to] = b->in.offset[from];
+        if (lod) b->start.spread[to] = b->in.spread[from], b->start.offset[to] = b->in.offset[from];
         b->start.ray[to] = b->in.ray[from];
         b->starts++;
     }

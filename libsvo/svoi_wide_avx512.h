@@ -77,7 +77,7 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
 
 /* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; side[k] is the cell before
  * such a plane. Where it is not certain in which finest voxel they are they count as found, in doubt. */
-INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
+INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
     const __m512i one = _mm512_set1_epi32(1);
     __mmask16 m = (__mmask16)met, doubt = 0;
@@ -106,8 +106,7 @@ INLINE void start_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, wid
     }
     keep_doubles(&b->start.t[to], m, in);
     keep_doubles(&b->start.t_max[to], m, t_max);
-    keep_doubles(&b->start.spread[to], m, wide_load(&b->in.spread[i]));
-    keep_doubles(&b->start.offset[to], m, wide_load(&b->in.offset[i]));
+    if (lod) keep_doubles(&b->start.spread[to], m, wide_load(&b->in.spread[i])), keep_doubles(&b->start.offset[to], m, wide_load(&b->in.offset[i]));
     keep_words(&b->start.ray[to], m, ray);
     b->starts += (uint32_t)__builtin_popcount(m);
 }
