@@ -11,6 +11,7 @@ pkg_check_modules(LZ4 REQUIRED IMPORTED_TARGET liblz4)
 # formats. Headers alone: nlohmann-json and tinygltf (Debian's shared library is not used: the header is compiled in
 # adapters/gltf_load.cpp).
 find_package(ZLIB REQUIRED)
+find_package(BZip2 REQUIRED)
 find_package(PNG REQUIRED)
 find_package(JPEG REQUIRED)
 find_package(draco REQUIRED)

@@ -1,4 +1,6 @@
 /* NRRD, after teem's description: header, place, and the samples in the file or beside it. */
+#include <bzlib.h>
+#include <ctype.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,7 +16,7 @@
 
 enum { LINE = 1024, PIECE = 1 << 16 };
 
-typedef enum nrrd_encoding { ENCODING_NONE, ENCODING_RAW, ENCODING_GZIP, ENCODING_TEXT } nrrd_encoding;
+typedef enum nrrd_encoding { ENCODING_NONE, ENCODING_RAW, ENCODING_GZIP, ENCODING_BZIP2, ENCODING_TEXT, ENCODING_HEX } nrrd_encoding;
 
 typedef struct nrrd {
     volume_samples *s;
@@ -93,8 +95,10 @@ static svo_result read_encoding(const char *value, nrrd *n, svo_error *err)
 {
     n->encoding = strcasecmp(value, "raw") == 0 ? ENCODING_RAW
                   : strcasecmp(value, "gzip") == 0 || strcasecmp(value, "gz") == 0 ? ENCODING_GZIP
+                  : strcasecmp(value, "bzip2") == 0 || strcasecmp(value, "bz2") == 0 ? ENCODING_BZIP2
+                  : strcasecmp(value, "hex") == 0 ? ENCODING_HEX
                   : strcasecmp(value, "ascii") == 0 || strcasecmp(value, "text") == 0 || strcasecmp(value, "txt") == 0 ? ENCODING_TEXT : ENCODING_NONE;
-    return n->encoding != ENCODING_NONE ? SVO_OK : svo_fail(err, SVO_UNSUPPORTED, "NRRD encoding \"%.40s\"; raw, gzip and ascii are read (unu save -e gzip makes one)", value);
+    return n->encoding != ENCODING_NONE ? SVO_OK : svo_fail(err, SVO_UNSUPPORTED, "NRRD encoding \"%.40s\"; raw, gzip, bzip2, hex and ascii are read (unu save -e gzip makes one)", value);
 }
 
 static svo_result read_field(const char *line, nrrd *n, svo_error *err)
@@ -210,6 +214,68 @@ static svo_result inflate_all(const uint8_t *p, uint64_t size, filler *f)
     return r;
 }
 
+/* Files may be joined. */
+static svo_result unpack_bzip2(const uint8_t *p, uint64_t size, filler *f)
+{
+    char *out = malloc(PIECE);
+    bz_stream z = {0};
+    if (out == NULL || BZ2_bzDecompressInit(&z, 0, 0) != BZ_OK) {
+        free(out);
+        return svo_fail(f->err, SVO_OUT_OF_MEMORY, "no memory to decode bzip2");
+    }
+    svo_result r = SVO_OK;
+    int code = BZ_OK;
+    bool ends = false;
+    while (r == SVO_OK && f->left != 0 && code == BZ_OK && !ends) {
+        if (z.avail_in == 0) {
+            const uint64_t n = size < (1u << 30) ? size : 1u << 30;
+            z.next_in = (char *)(uintptr_t)p;
+            z.avail_in = (unsigned)n;
+            p += n;
+            size -= n;
+        }
+        z.next_out = out;
+        z.avail_out = PIECE;
+        const bool all = z.avail_in == 0;
+        code = BZ2_bzDecompress(&z);
+        if (code == BZ_OK || code == BZ_STREAM_END) r = put(f, (const uint8_t *)out, PIECE - z.avail_out);
+        ends = all && z.avail_out == PIECE; /* nothing came of nothing */
+        if (code == BZ_STREAM_END && f->left != 0 && (z.avail_in != 0 || size != 0)) {
+            char *rest = z.next_in;
+            const unsigned left = z.avail_in;
+            BZ2_bzDecompressEnd(&z);
+            z = (bz_stream){0};
+            code = BZ2_bzDecompressInit(&z, 0, 0);
+            z.next_in = rest, z.avail_in = left;
+        }
+    }
+    BZ2_bzDecompressEnd(&z);
+    free(out);
+    if (r == SVO_OK && f->left != 0)
+        r = svo_fail(f->err, SVO_INVALID_DATA, ends || code == BZ_STREAM_END ? "the compressed samples end %llu bytes too early" : "the bzip2 data are damaged, %llu bytes before their end",
+                     (unsigned long long)f->left);
+    return r;
+}
+
+/* Two digits a byte, with space between any of them. */
+static svo_result read_hex(const uint8_t *p, uint64_t size, filler *f)
+{
+    uint8_t buffer[PIECE];
+    uint32_t used = 0, digits = 0, value = 0;
+    for (uint64_t i = 0; i < size && f->left > used; i++) {
+        if (import_space((char)p[i])) continue;
+        if (!isxdigit(p[i])) return svo_fail(f->err, SVO_INVALID_DATA, "byte %llu of the NRRD's hexadecimal samples is no digit", (unsigned long long)i);
+        value = value << 4 | (uint32_t)(p[i] <= '9' ? p[i] - '0' : (p[i] | 32) - 'a' + 10);
+        if (++digits % 2 != 0) continue;
+        buffer[used++] = (uint8_t)value;
+        if (used < PIECE) continue;
+        SVO_TRY(put(f, buffer, used));
+        used = 0;
+    }
+    SVO_TRY(put(f, buffer, used));
+    return f->left == 0 ? SVO_OK : svo_fail(f->err, SVO_INVALID_DATA, "the NRRD's hexadecimal samples end %llu bytes too early", (unsigned long long)f->left);
+}
+
 static void store(const nrrd *n, double v, uint8_t out[8])
 {
     const uint32_t bytes = volume_type_size(n->s->type);
@@ -249,18 +315,24 @@ static svo_result read_text(const nrrd *n, const uint8_t *p, uint64_t size, uint
     return SVO_OK;
 }
 
+/* Bytes are skipped after they are unpacked. */
+static bool is_packed(const nrrd *n) { return n->encoding == ENCODING_GZIP || n->encoding == ENCODING_BZIP2; }
+
 static svo_result decode(const nrrd *n, const uint8_t *p, uint64_t size, uint64_t bytes, svo_error *err)
 {
     filler f = {.fd = -1, .left = bytes, .err = err};
     const uint64_t count = bytes / volume_type_size(n->s->type);
-    /* deflate makes at most 1032 bytes of one, and a number takes two characters */
-    if (n->encoding == ENCODING_GZIP ? bytes / 1032 > size : count > size / 2 + 1)
+    /* deflate makes at most 1032 bytes of one, bzip2 a block of 900000 runs of 5 to 255 equal ones from some 30 bytes; a number takes two characters, as a byte in hexadecimal */
+    const bool enough = n->encoding == ENCODING_GZIP ? bytes / 1032 <= size : n->encoding == ENCODING_BZIP2 ? bytes / 2000000 <= size : n->encoding == ENCODING_HEX ? bytes <= size / 2 : count <= size / 2 + 1;
+    if (!enough)
         return svo_fail(err, SVO_INVALID_DATA, "%llu bytes of samples cannot come from %llu", (unsigned long long)bytes, (unsigned long long)size);
     if (n->most != 0 && bytes > n->most)
         return svo_fail(err, SVO_LIMIT, "the samples are %llu bytes when they are unpacked to a temporary file, and %llu are allowed (--temp-size)", (unsigned long long)bytes, (unsigned long long)n->most);
-    if (n->encoding == ENCODING_GZIP) f.skip = (uint64_t)n->skip_bytes;
+    if (is_packed(n)) f.skip = (uint64_t)n->skip_bytes;
     SVO_TRY(fmt_scratch_file(&f.fd, err));
-    svo_result r = n->encoding == ENCODING_GZIP ? inflate_all(p, size, &f) : read_text(n, p, size, count, &f);
+    svo_result r = n->encoding == ENCODING_GZIP ? inflate_all(p, size, &f)
+                   : n->encoding == ENCODING_BZIP2 ? unpack_bzip2(p, size, &f)
+                   : n->encoding == ENCODING_HEX ? read_hex(p, size, &f) : read_text(n, p, size, count, &f);
     if (r == SVO_OK) {
         void *m = mmap(NULL, (size_t)bytes, PROT_READ, MAP_PRIVATE, f.fd, 0);
         if (m == MAP_FAILED) r = svo_fail(err, SVO_IO, "cannot map the decoded samples");
@@ -282,7 +354,7 @@ static svo_result find_samples(const nrrd *n, const uint8_t *p, uint64_t size, s
         p = stop + 1;
     }
     if (n->skip_bytes < 0 && n->encoding != ENCODING_RAW) return svo_fail(err, SVO_UNSUPPORTED, "NRRD \"byte skip: -1\" is for raw samples");
-    if (n->encoding != ENCODING_GZIP && n->skip_bytes > 0) {
+    if (!is_packed(n) && n->skip_bytes > 0) {
         if (n->skip_bytes > (double)size) return svo_fail(err, SVO_INVALID_DATA, "there are fewer bytes than \"byte skip\" says");
         p += (uint64_t)n->skip_bytes;
         size -= (uint64_t)n->skip_bytes;

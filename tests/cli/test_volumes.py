@@ -1,5 +1,6 @@
 """svo-voxelize of dense volumes: raw samples of every type, NRRD in all its encodings, in the file and beside it; against the samples themselves."""
 
+import bz2
 import gzip
 import os
 import random
@@ -65,7 +66,9 @@ def test_encodings(folder):
             text = "\n".join(" ".join("%g" % v for v in values[i:i + 5]) for i in range(0, 60, 5)).encode()
             files = [nrrd(kind, "raw", data, more="endian: %s\n" % order), nrrd(kind, "gzip", gzip.compress(data), more="endian: %s\n" % order),
                      nrrd(kind, "gz", gzip.compress(data[:50]) + gzip.compress(data[50:]), more="endian: %s\n" % order), nrrd(kind, "ascii", text + b"\n"),
-                     nrrd(kind, "gzip", zlib.compress(data), more="endian: %s\n" % order)]
+                     nrrd(kind, "gzip", zlib.compress(data), more="endian: %s\n" % order), nrrd(kind, "bzip2", bz2.compress(data), more="endian: %s\n" % order),
+                     nrrd(kind, "bz2", bz2.compress(data[:50]) + bz2.compress(data[50:]), more="endian: %s\n" % order),
+                     nrrd(kind, "hex", data.hex(" ", 7).upper().encode() + b"\n", more="endian: %s\n" % order), nrrd(kind, "hex", data.hex().encode(), more="endian: %s\n" % order)]
             for i, f in enumerate(files if name in ("i16", "f64") else files[:2] if order == "big" else files[3:4]):
                 (folder / "a.nrrd").write_bytes(f)
                 check(set(cells(folder, folder / "a.nrrd", "--threshold", 3)[0]) == wanted(values, least=3), (name, order, i))
@@ -77,8 +80,9 @@ def test_beside(folder):
     (folder / "below").mkdir()
     (folder / "below" / "x.raw").write_bytes(b"one\ntwo\n###" + data)
     (folder / "x.raw.gz").write_bytes(b"one\n" + gzip.compress(b"##" + data + b"more"))
+    (folder / "x.raw.bz2").write_bytes(b"one\n" + bz2.compress(b"##" + data + b"more"))
     for more, encoding in (("line skip: 2\nbyte skip: 3\ndata file: below/x.raw\n", "raw"), ("byteskip: -1\ndatafile: below/x.raw\n", "raw"),
-                           ("line skip: 1\nbyte skip: 2\ndata file: ./x.raw.gz\n", "gzip")):
+                           ("line skip: 1\nbyte skip: 2\ndata file: ./x.raw.bz2\n", "bzip2"), ("line skip: 1\nbyte skip: 2\ndata file: ./x.raw.gz\n", "gzip")):
         for end in ("", "\n"):
             (folder / "a.nhdr").write_bytes(nrrd("short", encoding, b"", more="endian: little\n" + more)[:-1] + end.encode())
             check(set(cells(folder, folder / "a.nhdr", "-MD")[0]) == wanted(VALUES), more)
@@ -105,7 +109,7 @@ def test_files_of_teem(folder):
     (folder / "a.nrrd").write_bytes(nrrd("short", "raw", data, more="endian: little\nspacings: 2 3 4\n"))
     unu = lambda *words: subprocess.run(["teem-unu"] + [str(w) for w in words], check=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, timeout=60).stdout
     places = set()
-    for i, (encoding, name) in enumerate((("raw", "b.nrrd"), ("gzip", "b.nrrd"), ("ascii", "b.nrrd"), ("raw", "b.nhdr"), ("gzip", "c.nhdr"))):
+    for i, (encoding, name) in enumerate((("raw", "b.nrrd"), ("gzip", "b.nrrd"), ("ascii", "b.nrrd"), ("raw", "b.nhdr"), ("gzip", "c.nhdr"), ("bzip2", "b.nrrd"), ("hex", "b.nrrd"), ("bzip2", "c.nhdr"))):
         unu("save", "-f", "nrrd", "-e", encoding, "-i", folder / "a.nrrd", "-o", folder / name)
         at, c = cells(folder, folder / name, "--threshold", 3)
         check(set(at) == wanted(VALUES, least=3), (encoding, name))
@@ -161,11 +165,13 @@ def test_hostile(folder):
     packed = gzip.compress(data)
     for bad in (nrrd("short", "gzip", packed[:-20]), nrrd("short", "gzip", packed[:30] + b"\xff" * 20 + packed[50:]), nrrd("short", "gzip", b"nothing"), nrrd("short", "gzip", b""),
                 nrrd("short", "gzip", packed, (200000, 2000, 200)), nrrd("short", "ascii", b"1 2 3"), nrrd("short", "ascii", b"1 x " * 60), nrrd("short", "ascii", b"1e300 " * 60),
-                nrrd("short", "raw", data, (2097152, 2097152, 2097152)), nrrd("short", "raw", data, (5, 4, -3)), nrrd("short", "raw", data)[:40], nrrd("short", "raw", data, more="spacings: nan nan nan\n")):
+                nrrd("short", "bzip2", bz2.compress(data)[:-20]), nrrd("short", "bzip2", bz2.compress(data)[:40]), nrrd("short", "bzip2", bz2.compress(data)[:30] + b"\xff" * 9 + bz2.compress(data)[39:]),
+                nrrd("short", "bzip2", b"nothing"), nrrd("short", "bzip2", b""), nrrd("short", "bzip2", bz2.compress(data[:60]) + b"BZh9"), nrrd("short", "hex", data.hex()[:-1].encode()),
+                nrrd("short", "hex", b"0g" * 120), nrrd("short", "hex", b" " * 500), nrrd("short", "hex", b""), nrrd("short", "raw", data, (2097152, 2097152, 2097152)), nrrd("short", "raw", data, (5, 4, -3)), nrrd("short", "raw", data)[:40], nrrd("short", "raw", data, more="spacings: nan nan nan\n")):
         (folder / "b.nrrd").write_bytes(bad)
         r = tool("svo-voxelize", folder / "b.nrrd", "-o", folder / "x.svo", timeout=60)
         check(r.code == 3 and not (folder / "x.svo").exists(), (bad[:120], r))
-    for encoding, body in (("gzip", gzip.compress(bytes(1 << 20))), ("ascii", b"1 " * (1 << 20))): # what is unpacked counts as temporary files
+    for encoding, body in (("gzip", gzip.compress(bytes(1 << 20))), ("bzip2", bz2.compress(bytes(1 << 20))), ("hex", b"00" * (1 << 20)), ("ascii", b"1 " * (1 << 20))): # what is unpacked counts as temporary files
         (folder / "b.nrrd").write_bytes(nrrd("uint8", encoding, body, (1024, 1024, 1)))
         r = tool("svo-voxelize", folder / "b.nrrd", "-o", folder / "t.svo", "--temp-size", "1023K")
         check(r.code == 6 and "--temp-size" in r.err and not (folder / "t.svo").exists(), r)

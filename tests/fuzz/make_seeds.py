@@ -3,6 +3,7 @@
 
 TOOLS is the folder of the built tools. OUT/TARGET/ok-* are written; all are made here from a few triangles."""
 import base64
+import bz2
 import gzip
 import json
 import os
@@ -275,6 +276,8 @@ class Seeds:
                                                 "endian: little\nencoding: raw\n\n" % kind).encode() + data)
         head = "NRRD0005\ntype: %s\ndimension: %s\nencoding: %s\n"
         self.put("volume", "packed.nrrd", (head % ("ushort", "3\nsizes: 3 4 5\nendian: big\nbyte skip: 2", "gzip")).encode() + b"\n" + gzip.compress(bytes(range(122)), mtime=0))
+        self.put("volume", "packed2.nrrd", (head % ("uchar", "3\nsizes: 3 4 5\nbyte skip: 1", "bzip2")).encode() + b"\n" + bz2.compress(bytes(range(61))))
+        self.put("volume", "hex.nrrd", (head % ("ushort", "3\nsizes: 2 2 2\nendian: big", "hex")).encode() + b"\n0001 00fF\n0 0 0 0 8000 1234 ffff0000 0003\n")
         self.put("volume", "text.nrrd", (head % ("int", "3\nsizes: 2 2 2\nspacings: 1 2 3", "ascii")).encode() + b"\n1 0 -2\n3 4,5 6 0\n")
         self.put("volume", "colors.nrrd", (head % ("uchar", "4\nsizes: 4 2 2 2", "raw")).encode() + b"\n" + bytes(range(32)))
         self.put("volume", "beside.nhdr", (head % ("float", "3\nsizes: 2 2 2\nline skip: 1\ndata file: x.raw", "raw")).encode(), "io-")
