@@ -1,6 +1,7 @@
 /* Algorithm 1 of Dado et al. 2016: blocks of any length with palettes of table indices, found greedily. The yardstick that
  * svo_palette.h is measured against. The blocks are those of the printed algorithm (ties: the first position), but the
- * largest block is found from windows over runs and a tree of maxima, not by trying all pairs: time is O(n log n). */
+ * largest block is not found by trying all pairs: probes rule out most places where runs are short, elsewhere there are windows over runs and a tree of
+ * maxima. Time is O(n log n). */
 #ifndef SVO_ALGORITHM1_H
 #define SVO_ALGORITHM1_H
 
@@ -26,6 +27,7 @@ typedef struct svo_algorithm1_result {
     uint64_t palette_count, palette_entries;
     uint64_t bits; /* indices, palettes and directory, without the table */
     uint64_t capacity[2]; /* of the arrays */
+    double seconds_large; /* wall time of phase one, for benches */
 } svo_algorithm1_result;
 
 /* Table indices index[0 .. count), all below table_count; an entry of the directory has `directory_bits`. */

@@ -1,7 +1,7 @@
 /* Colours in few bits: blocks chosen by bits and error against Algorithm 1 of Dado et al. 2016 and against blocks with two
  * endpoints and variable weights after Dolonius et al. 2017, on the same streams in one run.
  *
- *     bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag [...]
+ *     bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N [-k BITS,...] [-l SECONDS]] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag [...]
  *
  * The files are packed without loss. METHODS: any of a (Algorithm 1), d (two endpoints), o (ours). -x: ours with this goal
  * alone (svo_palette_goal) and
@@ -365,27 +365,27 @@ out:
     return seconds < limit ? seconds : -1;
 }
 
-static void growth(const stream *s, uint64_t first)
+/* Seconds of the printed phase one (CPU time of one thread; -1: more than `limit`), then of ours and of both phases on one thread and on all (wall time). */
+static void growth(const stream *s, uint64_t first, uint32_t bits, double limit)
 {
     uint32_t *table, *entry, *index = get(s->count, 4);
-    uint64_t n = make_table(s, 12, &table, &entry);
+    uint64_t n = make_table(s, bits, &table, &entry);
     for (uint64_t i = 0; i < s->count; i++) index[i] = entry[s->index[i]];
-    fprintf(stderr, "%s: values, seconds of Algorithm 1 as printed, seconds of ours (one thread)\n", s->name);
-    for (uint64_t m = first; m <= s->count; m *= 2) {
+    bool slow_enough = true;
+    for (uint64_t m = first; m <= s->count; m = 2 * m > s->count && m < s->count ? s->count : 2 * m) {
         svo_algorithm1_result r;
         svo_error err;
-        double slow = brute_force(index, m, n, 20), started = cpu_seconds();
-        if (svo_algorithm1(index, m, n, 64, 1, NULL, &r, &err) != SVO_OK) die(err.message);
-        fprintf(stderr, "%llu, %.3f, %.4f\n", (unsigned long long)m, slow, cpu_seconds() - started);
-        svo_algorithm1_free(&r, NULL);
-        if (slow < 0) break;
+        double slow = slow_enough ? brute_force(index, m, n, limit) : -1, large[2], all[2];
+        for (int k = 0; k < 2; k++) {
+            double started = svo_seconds();
+            if (svo_algorithm1(index, m, n, 64, k == 0 ? 1 : s->threads, NULL, &r, &err) != SVO_OK) die(err.message);
+            all[k] = svo_seconds() - started;
+            large[k] = r.seconds_large;
+            svo_algorithm1_free(&r, NULL);
+        }
+        printf("%s,%u,%llu,%.3f,%.5f,%.5f,%.4f,%.4f,%.0f\n", s->name, bits, (unsigned long long)m, slow, large[0], large[1], all[0], all[1], slow > 0 ? slow / large[1] : -1);
+        slow_enough = slow >= 0;
     }
-    double started = cpu_seconds();
-    svo_algorithm1_result r;
-    svo_error err;
-    if (svo_algorithm1(index, s->count, n, 64, 1, NULL, &r, &err) != SVO_OK) die(err.message);
-    fprintf(stderr, "%llu, -, %.4f\n", (unsigned long long)s->count, cpu_seconds() - started);
-    svo_algorithm1_free(&r, NULL);
     free(table), free(entry), free(index);
 }
 
@@ -519,6 +519,8 @@ int main(int argc, char **argv)
     double goal[4] = {-1, 0, 0, 12};
     uint32_t threads = 1;
     uint64_t brute = 0;
+    const char *brute_bits = "12";
+    double brute_limit = 20;
     bool as_is = false;
     int i = 1;
     for (; i + 1 < argc && argv[i][0] == '-'; i += 2) {
@@ -526,18 +528,24 @@ int main(int argc, char **argv)
         else if (argv[i][1] == 't') threads = (uint32_t)atoi(argv[i + 1]);
         else if (argv[i][1] == 'r') as_is = atoi(argv[i + 1]) != 0;
         else if (argv[i][1] == 'b') brute = (uint64_t)atoll(argv[i + 1]);
+        else if (argv[i][1] == 'k') brute_bits = argv[i + 1];
+        else if (argv[i][1] == 'l') brute_limit = atof(argv[i + 1]);
         else if (argv[i][1] == 'm') methods = argv[i + 1];
         else if (argv[i][1] != 'x' || sscanf(argv[i + 1], "%lf,%lf,%lf,%lf", &goal[0], &goal[1], &goal[2], &goal[3]) != 4) die("unknown option");
     }
-    if (i >= argc) die("usage: bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag ...");
+    if (i >= argc) die("usage: bench_attributes [-r 1] [-c CHANNEL] [-t THREADS] [-b N [-k BITS,...] [-l SECONDS]] [-m METHODS] [-x BOUND,PRICE,SQUARES,BITS] FILE.svdag ...");
     for (; as_is && i < argc; i++) read_channels(argv[i]);
     if (as_is) return 0;
-    puts("stream,method,setting,bits_per_value,mean_delta_e,max_delta_e,psnr,max_byte,million_per_cpu_second,random_access_ns");
+    if (brute == 0) puts("stream,method,setting,bits_per_value,mean_delta_e,max_delta_e,psnr,max_byte,million_per_cpu_second,random_access_ns");
     for (; i < argc; i++) {
         stream s = {.threads = threads};
         load(argv[i], channel, &s);
         fprintf(stderr, "%s: %llu values, %llu different\n", s.name, (unsigned long long)s.count, (unsigned long long)s.distinct);
-        if (brute != 0) growth(&s, brute);
+        if (brute != 0) {
+            puts("stream,bits,values,printed_s,phase_one_s,phase_one_all_threads_s,both_s,both_all_threads_s,ratio");
+            for (const char *b = brute_bits; *b != 0; b += strcspn(b, ","), b += *b == ',') growth(&s, brute, (uint32_t)atoi(b), brute_limit);
+            methods = "";
+        }
         if (goal[0] >= 0) {
             ours(&s, goal[0], goal[1], goal[2] != 0, (uint32_t)goal[3], true, "as given");
             methods = "";

@@ -111,6 +111,35 @@ TEST(as_printed)
     }
 }
 
+/* Blocks that just save something, or just do not, at every place between noise; blocks that touch, and such with a stranger inside. */
+TEST(shortest_blocks_at_every_place)
+{
+    uint32_t v[700];
+    uint64_t seed = 9;
+    for (uint32_t w = 0; w < 4 && !test_failed(); w++)
+        for (uint32_t more = 0; more < 3; more++) {
+            uint32_t length = (12u << w) + 64 + more; /* a table of 4096, 64 bits an entry of the directory */
+            for (uint32_t at = 0; at + length <= 420 && !test_failed(); at += w == 0 ? 1 : 7) {
+                for (uint32_t i = 0; i < 700; i++) v[i] = (uint32_t)test_random(&seed) & 4095;
+                for (uint32_t i = 0; i < length; i++) v[at + i] = 100 + i % (1u << w);
+                for (uint32_t i = 0; i < 90; i++) v[at + length + i] = 7 + (i == at % 90 ? 1000 : 0);
+                compare(v, 700, 4096, 1 + at % 3);
+            }
+        }
+}
+
+/* One value, two in turn, and every value another. */
+TEST(one_value_two_in_turn_and_all_different)
+{
+    uint32_t v[3000];
+    for (uint32_t kind = 0; kind < 3; kind++)
+        for (uint32_t n = 1; n < 3000; n = n < 200 ? n + 1 : n + 397) {
+            for (uint32_t i = 0; i < n; i++) v[i] = kind == 0 ? 3 : kind == 1 ? i & 1 : i;
+            compare(v, n, 4096, 2);
+            if (test_failed()) return;
+        }
+}
+
 /* --- blocks in a file -------------------------------------------------------------------------------------------- */
 
 typedef struct stream { uint32_t *v; uint64_t count; } stream;
