@@ -138,6 +138,49 @@ static svo_result find_zones(state *s, svo_error *err)
     return SVO_OK;
 }
 
+/* Is there a block in the zone that saves something? `times` is all 0 before and after. */
+static bool worth_it(const state *s, gap z, uint32_t *times)
+{
+    const uint32_t *v = s->index;
+    for (uint32_t w = 0; w < LARGE; w++) {
+        const uint64_t shortest = ((uint64_t)s->table_bits << w) + s->directory_bits + 1;
+        uint64_t begin = z.begin, end = z.begin;
+        uint32_t distinct = 0;
+        bool enough = false;
+        for (; end < z.end && !enough; end++) {
+            if (times[v[end]]++ == 0) distinct++;
+            for (; distinct > 1u << w; begin++)
+                if (--times[v[begin]] == 0) distinct--;
+            enough = end + 1 - begin >= shortest;
+        }
+        for (; begin < end; begin++) times[v[begin]] = 0;
+        if (enough) return true;
+    }
+    return false;
+}
+
+static svo_result look_at_zones(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    state *s = user;
+    uint32_t *times = svo_calloc(s->a, s->table_count, sizeof *times);
+    if (times == NULL) return no_memory(err);
+    for (uint64_t z = begin; z < end; z++)
+        if (!worth_it(s, s->zones[z], times)) s->zones[z].end = s->zones[z].begin;
+    svo_free(s->a, times, s->table_count, sizeof *times);
+    return SVO_OK;
+}
+
+static svo_result drop_zones(state *s, svo_error *err)
+{
+    SVO_TRY(svo_parallel_for(s->threads, s->zone_count, 1024, look_at_zones, s, err));
+    uint64_t kept = 0;
+    for (uint64_t z = 0; z < s->zone_count; z++)
+        if (s->zones[z].begin < s->zones[z].end) s->zones[kept++] = s->zones[z];
+    s->zone_count = kept;
+    return SVO_OK;
+}
+
 static uint64_t count_runs(const uint32_t *v, uint64_t n)
 {
     uint64_t runs = 1;
@@ -319,6 +362,7 @@ static bool gather(state *s, list *head)
 static svo_result phase_one(state *s, list *head, svo_error *err)
 {
     SVO_TRY(find_zones(s, err));
+    SVO_TRY(drop_zones(s, err));
     if (s->zone_count == 0) return SVO_OK;
     SVO_TRY(find_runs(s, err));
     SVO_TRY(svo_parallel_for(s->threads, LARGE, 1, make_widths, s, err));
