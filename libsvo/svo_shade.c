@@ -112,22 +112,65 @@ static svo_result expand_pyramids(void *user, uint64_t begin, uint64_t end, uint
     return SVO_OK;
 }
 
+/* About how many readings of the image itself a triangle takes, as if its voxels looked like squares in the texture: none where a coarser level will do. */
+static double readings_of(const svo_shader *s, const svo_group *g, uint64_t local, const svo_texture *how, const svo_pyramid *p)
+{
+    const float *set = g->part->uvs[how->uv_set];
+    const uint32_t *index = g->part->indices + 3 * local;
+    svo_vec3 v[3];
+    double t[3][2];
+    if (set == NULL) return 0;
+    svo_placement_world(s->placement, g, local, v);
+    for (int k = 0; k < 3; k++) {
+        const double x = (double)set[2 * (uint64_t)index[k]], y = (double)set[2 * (uint64_t)index[k] + 1];
+        t[k][0] = (how->transform[0] * x + how->transform[1] * y) * p->width[0];
+        t[k][1] = (how->transform[3] * x + how->transform[4] * y) * p->height[0];
+    }
+    const svo_vec3 normal = svo_cross(svo_sub(v[1], v[0]), svo_sub(v[2], v[0]));
+    const double faces = 0.5 * svo_length(normal) / (s->grid.size * s->grid.size);
+    const double texels = 0.5 * fabs((t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[1][1] - t[0][1]) * (t[2][0] - t[0][0]));
+    const double breadth = sqrt(texels / faces), across = floor(0.8 * breadth) + 1;
+    return breadth < 2 / 0.58 ? 1.5 * faces * across * across : 0; /* 1.5 voxels a face (not a number: 0) */
+}
+
+/* Readings of each image as opaque colours, from up to 1024 triangles a group. False where triangles are not in memory. */
+static bool estimate_readings(const svo_shader *s, double *readings)
+{
+    for (uint64_t i = 0; i < s->placement->group_count; i++) {
+        const svo_group *g = &s->placement->groups[i];
+        if (g->part->soup != NULL) return false;
+        const shade_material *m = svoi_material_of(s, g->part->material);
+        const struct { const svo_pyramid *p; const svo_texture *how; } uses[2] = {{m->base, &m->m.base_color_texture}, {m->emissive, &m->m.emissive_texture}};
+        const uint64_t stride = g->part->triangle_count / 1024 + 1;
+        for (int k = 0; k < 2; k++) {
+            if (uses[k].p == NULL || uses[k].p->kind != SVO_TEXEL_COLOR) continue;
+            double sum = 0;
+            for (uint64_t local = 0; local < g->part->triangle_count; local += stride) sum += readings_of(s, g, local, uses[k].how, uses[k].p);
+            readings[uses[k].p - s->pyramids] += sum * (double)stride;
+        }
+    }
+    return true;
+}
+
 void svo_shader_expand(svo_shader *s, uint64_t bytes, uint32_t threads)
 {
     const uint64_t pyramids = (uint64_t)s->image_count * 3;
     uint8_t *wanted = svo_calloc(s->allocator, pyramids, 1);
-    if (wanted == NULL) return;
-    for (uint64_t i = 0; i < pyramids; i++) {
+    double *readings = svo_calloc(s->allocator, pyramids, sizeof *readings);
+    const bool known = readings != NULL && estimate_readings(s, readings);
+    for (uint64_t i = 0; wanted != NULL && i < pyramids; i++) {
         const svo_pyramid *p = &s->pyramids[i];
         if (p->levels == 0 || p->kind != SVO_TEXEL_COLOR) continue;
-        const uint64_t need = 8 * (uint64_t)p->width[0] * p->height[0];
-        if (need > bytes) continue;
-        bytes -= need;
+        const uint64_t texels = (uint64_t)p->width[0] * p->height[0];
+        if (known && readings[i] < 0.5 * (double)texels) continue; /* it would cost more than it saves */
+        if (8 * texels > bytes) continue;
+        bytes -= 8 * texels;
         wanted[i] = 1;
     }
     expand_job job = {s, wanted};
-    svo_parallel_for(threads, pyramids, 1, expand_pyramids, &job, NULL);
+    if (wanted != NULL) svo_parallel_for(threads, pyramids, 1, expand_pyramids, &job, NULL);
     svo_free(s->allocator, wanted, pyramids, 1);
+    svo_free(s->allocator, readings, pyramids, sizeof *readings);
 }
 
 svo_result svo_shader_rebind(svo_shader *s, const svo_placement *p, svo_error *err)

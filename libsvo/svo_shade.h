@@ -27,7 +27,7 @@ svo_result svo_shader_create(const svo_placement *p, const svo_grid *g, const sv
                              const svo_allocator *a, svo_shader **out, svo_error *err);
 /* Mean another placement from now on, of a mesh with the same materials and images. */
 svo_result svo_shader_rebind(svo_shader *s, const svo_placement *p, svo_error *err);
-/* Use up to so many bytes to make readings of textures quicker. The results are the same. */
+/* Use up to so many bytes to make readings of textures quicker, of those that are read much. The results are the same. */
 void svo_shader_expand(svo_shader *s, uint64_t bytes, uint32_t threads);
 void svo_shader_free(svo_shader *s);
 const svo_shade_layout *svo_shader_layout(const svo_shader *s);

@@ -290,6 +290,11 @@ static inline void quantize(const float *v, uint32_t n, int32_t *out)
     for (uint32_t i = 0; i < n; i++) out[i] = (int32_t)(v[i] * 65535 + 0.5f);
 }
 
+static inline void quantize_normals(const float *v, uint32_t n, int32_t *out)
+{
+    for (uint32_t i = 0; i < n; i++) out[i] = (int32_t)floorf(v[i] * 32767 + 0.5f);
+}
+
 void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint32_t shift, uint64_t *sums)
 {
     const svo_shade_layout *layout = &s->layout;
@@ -297,6 +302,13 @@ void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint
     const bool weighted = svoi_material_of(s, t->material)->alpha_matters;
     uint32_t weight[SVOI_LANES];
     find_weights(l, shift, weight);
+    if (fields == 9 && layout->color < SVO_MAX_CHANNELS && layout->normal < SVO_MAX_CHANNELS && !weighted && svoi_clip_has_wide()) { /* what is asked for most */
+        int32_t normal[3][SVOI_LANES];
+        for (int k = 0; k < 3; k++) quantize(l->color[k], n, l->integer[k]);
+        for (int k = 0; k < 3; k++) quantize_normals(l->normal[k], n, normal[k]);
+        svoi_wide_add(weight, l->target, l->count, l->integer, normal, sums);
+        return;
+    }
     for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_weight] += weight[i];
     if (layout->color < SVO_MAX_CHANNELS) {
         uint32_t color_weight[SVOI_LANES];
@@ -313,8 +325,7 @@ void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint
         }
     }
     if (layout->normal < SVO_MAX_CHANNELS) {
-        for (int k = 0; k < 3; k++)
-            for (uint32_t i = 0; i < n; i++) l->integer[k][i] = (int32_t)floorf(l->normal[k][i] * 32767 + 0.5f);
+        for (int k = 0; k < 3; k++) quantize_normals(l->normal[k], n, l->integer[k]);
         for (uint32_t i = 0; i < l->count; i++) {
             uint64_t *f = sums + (uint64_t)l->target[i] * fields + layout->sum_normal, w = weight[i];
             const int32_t normal[3] = {l->integer[0][i], l->integer[1][i], l->integer[2][i]};

@@ -39,18 +39,28 @@ typedef svoi_tap_plan plan;
 
 static inline float spacing(float rest, uint32_t count) { return count > 1 && rest > 0 ? sqrtf(12 * rest / (float)(count * count - 1)) : 0; }
 
+/* The finest level that is coarse enough for what is so broad: texels of the next are larger than 0.58 of it. */
+static inline uint32_t level_for(float breadth, uint32_t levels)
+{
+    const float most = 0.58f * breadth;
+    uint32_t bits;
+    memcpy(&bits, &most, sizeof bits);
+    const uint32_t level = most >= 1 ? (bits >> 23) - 127 : 0; /* the power of two below it */
+    return level < levels - 1 ? level : levels - 1;
+}
+
 static void make_plan(const svo_pyramid *p, const footprints *f, uint32_t i, plan *out)
 {
+    static const uint32_t most_along[ACROSS + 1] = {0, MOST, MOST / 2, MOST / 3, MOST / 4};
     const float length = sqrtf(12 * f->large[i]), breadth = sqrtf(12 * f->small[i]);
-    uint32_t level = 0;
-    float size = 1;
-    while (level + 1 < p->levels && 2 * size <= 0.58f * breadth) level++, size *= 2;
-    while (level + 1 < p->levels && !(length <= 1.6f * size * (float)(MOST / taps_for(breadth / size, ACROSS)))) level++, size *= 2;
+    uint32_t level = level_for(breadth, p->levels);
+    float size = (float)(1u << level), per_size = 1 / size; /* powers of two: exact */
+    while (level + 1 < p->levels && !(length <= 1.6f * size * (float)most_along[taps_for(breadth * per_size, ACROSS)])) level++, size *= 2, per_size *= 0.5f;
     out->level = level;
-    out->across = taps_for(breadth / size, ACROSS);
-    out->along = taps_for(length / size, MOST / out->across);
+    out->across = taps_for(breadth * per_size, ACROSS);
+    out->along = taps_for(length * per_size, most_along[out->across]);
     const float inherent = (size * size - 1) * 0.25f, step = spacing(f->large[i] - inherent, out->along), side = spacing(f->small[i] - inherent, out->across);
-    const float sx = (float)p->width[level] / (float)p->width[0], sy = (float)p->height[level] / (float)p->height[0];
+    const float sx = p->share_x[level], sy = p->share_y[level];
     out->step[0] = step * f->x[i] * sx, out->step[1] = step * f->y[i] * sy;
     out->side[0] = -side * f->y[i] * sx, out->side[1] = side * f->x[i] * sy;
 }

@@ -302,6 +302,14 @@ void svoi_wide_put(const uint8_t *values, uint32_t stride, const uint32_t *index
 {
     const uint32_t most = 64 / stride;
     uint64_t breaks = find_breaks(index, count);
+    if (4 * (uint32_t)__builtin_popcountll(breaks & low_bits(count)) > count) { /* hardly any runs */
+        if (stride == 4)
+            for (uint32_t i = 0; i < count; i++) memcpy(out + 4 * (uint64_t)index[i], values + 4 * i, 4);
+        else
+            for (uint32_t i = 0; i < count; i++)
+                for (uint32_t k = 0; k < stride; k++) out[stride * (uint64_t)index[i] + k] = values[stride * i + k];
+        return;
+    }
     for (uint32_t at = 0; at < count;) {
         breaks &= breaks - 1;
         uint32_t end = breaks != 0 ? (uint32_t)__builtin_ctzll(breaks) : count;
@@ -312,6 +320,43 @@ void svoi_wide_put(const uint8_t *values, uint32_t stride, const uint32_t *index
             _mm512_mask_storeu_epi8(to, low_bits(stride * n), _mm512_loadu_si512(values + stride * at));
         }
         at = end;
+    }
+}
+
+/* Eight rows of eight to eight columns. */
+static inline void turn(__m256i r[8])
+{
+    __m256i a[8], b[8];
+    for (int i = 0; i < 8; i += 2) a[i] = _mm256_unpacklo_epi32(r[i], r[i + 1]), a[i + 1] = _mm256_unpackhi_epi32(r[i], r[i + 1]);
+    for (int i = 0; i < 8; i += 4) {
+        b[i] = _mm256_unpacklo_epi64(a[i], a[i + 2]), b[i + 1] = _mm256_unpackhi_epi64(a[i], a[i + 2]);
+        b[i + 2] = _mm256_unpacklo_epi64(a[i + 1], a[i + 3]), b[i + 3] = _mm256_unpackhi_epi64(a[i + 1], a[i + 3]);
+    }
+    for (int i = 0; i < 4; i++) r[i] = _mm256_permute2x128_si256(b[i], b[i + 4], 0x20), r[i + 4] = _mm256_permute2x128_si256(b[i], b[i + 4], 0x31);
+}
+
+void svoi_wide_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums)
+{
+    for (uint32_t i = 0; i < count; i += 8) {
+        uint64_t keys[8];
+        __m256i row[8] = {_mm256_set1_epi32(1)}, part[3];
+        for (int k = 0; k < 3; k++) {
+            row[1 + k] = _mm256_loadu_si256((const __m256i *)(const void *)(color[k] + i));
+            row[4 + k] = _mm256_loadu_si256((const __m256i *)(const void *)(normal[k] + i));
+            part[k] = _mm256_srli_epi32(_mm256_add_epi32(row[4 + k], _mm256_set1_epi32(32768)), 4);
+        }
+        row[7] = _mm256_setzero_si256();
+        const __m512i direction = _mm512_or_si512(_mm512_or_si512(_mm512_cvtepu32_epi64(part[0]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(part[1]), 12)), _mm512_slli_epi64(_mm512_cvtepu32_epi64(part[2]), 24));
+        const __m512i weights = _mm512_cvtepu32_epi64(_mm256_loadu_si256((const __m256i *)(const void *)(weight + i)));
+        _mm512_storeu_si512(keys, _mm512_or_si512(_mm512_slli_epi64(weights, 36), direction));
+        turn(row);
+        for (uint32_t k = 0; k < 8 && i + k < count; k++) {
+            uint64_t *to = sums + 9 * (uint64_t)target[i + k];
+            const __m512i product = _mm512_mul_epi32(_mm512_cvtepi32_epi64(row[k]), _mm512_set1_epi64((int64_t)weight[i + k]));
+            const __m512i old = _mm512_loadu_si512(to + 1), sum = _mm512_add_epi64(old, product);
+            to[0] += weight[i + k];
+            _mm512_storeu_si512(to + 1, _mm512_mask_max_epu64(sum, 0x80, old, _mm512_set1_epi64((int64_t)keys[k])));
+        }
     }
 }
 #else /* never called: svoi_clip_has_wide says so */
@@ -349,5 +394,9 @@ void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, con
 void svoi_wide_put(const uint8_t *values, uint32_t stride, const uint32_t *index, uint32_t count, uint8_t *out)
 {
     (void)values, (void)stride, (void)index, (void)count, (void)out;
+}
+void svoi_wide_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums)
+{
+    (void)weight, (void)target, (void)count, (void)color, (void)normal, (void)sums;
 }
 #endif

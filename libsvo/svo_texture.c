@@ -153,6 +153,7 @@ void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out
     out->outside = image->paged != NULL;
     out->width[0] = image->width;
     out->height[0] = image->height;
+    out->share_x[0] = out->share_y[0] = 1;
 }
 
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err)
@@ -164,6 +165,8 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
         uint32_t l = p.levels++;
         p.width[l] = p.width[l - 1] > 1 ? p.width[l - 1] / 2 : 1;
         p.height[l] = p.height[l - 1] > 1 ? p.height[l - 1] / 2 : 1;
+        p.share_x[l] = (float)p.width[l] / (float)p.width[0];
+        p.share_y[l] = (float)p.height[l] / (float)p.height[0];
     }
     if (is_paged(&p)) SVO_TRY(place_levels(&p, err));
     for (uint32_t l = 1; l < p.levels; l++) {

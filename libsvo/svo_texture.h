@@ -24,6 +24,7 @@ typedef struct svo_pyramid {
     svo_texel kind;
     uint32_t levels;
     uint32_t width[32], height[32];
+    float share_x[32], share_y[32]; /* of the image's width and height */
     uint16_t *texels[32]; /* 4 a texel; [0] is NULL but after svo_pyramid_expand; COLOR_ALPHA: premultiplied */
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
     float linear[256];   /* of a byte of level 0 */

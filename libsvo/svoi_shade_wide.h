@@ -26,4 +26,8 @@ void svoi_wide_put(const uint8_t *values, uint32_t stride, const uint32_t *index
 /* Linear colours to sRGB, three bytes a colour: `steps` is svoi_srgb_steps(). Reads and writes up to a multiple of 16 colours, and 16 bytes more. */
 void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out);
 
+/* Add contributions to sums of nine: weight; weight and three colours times it; three normals times it, and the largest contribution. Weights are below 2^28.
+ * Reads up to a multiple of eight. */
+void svoi_wide_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums);
+
 #endif
