@@ -134,13 +134,21 @@ static inline bool place(const svo_pyramid *p, const svo_texture *how, const dou
     return true;
 }
 
+/* Is the level an opaque image of bytes that vector code can read? */
+static inline bool reads_bytes(const svo_pyramid *p, uint32_t level)
+{
+    return p->texels[level] == NULL && p->kind == SVO_TEXEL_COLOR && !p->outside && (uint64_t)p->width[0] * p->height[0] < (uint64_t)1 << 29 && svoi_bytes_has_wide();
+}
+
 /* The mean of its readings. Every other one has a sum of its own. */
 static inline void mean_inside(const svo_pyramid *p, const placed *r, float out[4])
 {
     const plan *n = &r->n;
     const uint32_t w = p->width[n->level];
     pair sums[2] = {{0}, {0}};
-    if (p->texels[n->level] != NULL && !p->outside && n->along * n->across > 2 && svoi_clip_has_wide()) {
+    if (n->along * n->across > 2 && reads_bytes(p, n->level)) {
+        svoi_bytes_footprint(p->image->pixels + 4 * r->origin, p->halves, w, n, r->x, r->y, (float *)sums);
+    } else if (p->texels[n->level] != NULL && !p->outside && n->along * n->across > 2 && svoi_clip_has_wide()) {
         svoi_wide_footprint(p->texels[n->level] + 4 * r->origin, w, n, r->x, r->y, (float *)sums);
     } else {
         uint32_t odd = 0;
@@ -467,7 +475,11 @@ static void read_shape(const svoi_inner_texture *f, const svo_texture *how, cons
     const bool wide = svoi_clip_has_wide() && p->texels[level] != NULL && !p->outside, repeats = how->wrap_u == SVO_WRAP_REPEAT && how->wrap_v == SVO_WRAP_REPEAT;
     const float scale = unit(p, level) / (float)(shape->along * shape->across);
     svoi_sorted_lanes of = sort_lanes(f, l, first, cx, cy, (float)w, (float)h);
-    if (wide) {
+    if (reads_bytes(p, level)) {
+        if (of.inside != 0) svoi_bytes_read(p->image->pixels, p->halves, w, h, f, shape, l, of.inside, false, cx, cy, scale, out);
+        if (of.near != 0 && repeats) svoi_bytes_read(p->image->pixels, p->halves, w, h, f, shape, l, of.near, true, cx, cy, scale, out);
+        if (repeats) of.near = 0;
+    } else if (wide) {
         if (of.inside != 0) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.inside, false, cx, cy, scale, out);
         if (of.near != 0 && repeats) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.near, true, cx, cy, scale, out);
         if (repeats) of.near = 0;

@@ -5,6 +5,8 @@
 #if defined(__x86_64__) && defined(__AVX512F__) && defined(__AVX512VL__) && defined(__AVX512DQ__) && defined(__AVX512BW__) && defined(__BMI2__)
 #include <immintrin.h>
 
+#include "svoi_shade_kernel.h"
+
 /* Numbers of the bits that are set, from `first` on. */
 static inline uint32_t positions(uint64_t bits, uint32_t first, uint32_t n, uint32_t *out)
 {
@@ -44,42 +46,6 @@ void svoi_wide_write(const svo_shade_layout *layout, const svoi_values *v, uint6
         if (bytes[n] < SVO_MAX_CHANNELS) _mm512_mask_storeu_epi8(channels[bytes[n]] + rank, set, _mm512_set1_epi8((char)v->of[bytes[n]][0]));
 }
 
-/* Two texels of each of two places. */
-static inline __m512 load_pairs(const uint16_t *a, const uint16_t *b)
-{
-    const __m256i both = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm_loadu_si128((const __m128i *)(const void *)a)), _mm_loadu_si128((const __m128i *)(const void *)b), 1);
-    return _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(both));
-}
-
-void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16])
-{
-    /* readings along and across, by number: the last one counts up first */
-    const __m512i side = _mm512_setr_epi32(16, 16, 16, 16, 0, 0, 0, 0, 17, 17, 17, 17, 1, 1, 1, 1), row = _mm512_setr_epi32(0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1);
-    const uint32_t count = n->along * n->across;
-    const __m512 wide = _mm512_set1_ps((float)n->across), one = _mm512_set1_ps(1);
-    __m512 number = _mm512_setr_ps(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15), sum = _mm512_loadu_ps(sums);
-    for (uint32_t first = 0; first < count; first += 16, number = _mm512_add_ps(number, _mm512_set1_ps(16))) {
-        const uint32_t left = count - first < 16 ? count - first : 16;
-        /* small whole numbers: a half more, divided and rounded down, is right */
-        const __m512 i = _mm512_roundscale_ps(_mm512_div_ps(_mm512_add_ps(number, _mm512_set1_ps(0.5f)), wide), 9), j = _mm512_sub_ps(number, _mm512_mul_ps(i, wide));
-        const __m512 px = _mm512_add_ps(_mm512_add_ps(_mm512_set1_ps(x), _mm512_mul_ps(i, _mm512_set1_ps(n->step[0]))), _mm512_mul_ps(j, _mm512_set1_ps(n->side[0])));
-        const __m512 py = _mm512_add_ps(_mm512_add_ps(_mm512_set1_ps(y), _mm512_mul_ps(i, _mm512_set1_ps(n->step[1]))), _mm512_mul_ps(j, _mm512_set1_ps(n->side[1])));
-        const __m512i ix = _mm512_cvttps_epi32(px), iy = _mm512_cvttps_epi32(py);
-        const __m512 fx = _mm512_sub_ps(px, _mm512_cvtepi32_ps(ix)), fy = _mm512_sub_ps(py, _mm512_cvtepi32_ps(iy)), rx = _mm512_sub_ps(one, fx);
-        uint32_t texel[16];
-        _mm512_storeu_si512(texel, _mm512_add_epi32(_mm512_mullo_epi32(iy, _mm512_set1_epi32((int32_t)w)), ix));
-        for (uint32_t k = 0; k < left; k += 2) {
-            const bool both = k + 1 < left;
-            const uint16_t *a = texels + 4 * (uint64_t)texel[k], *b = both ? texels + 4 * (uint64_t)texel[k + 1] : a;
-            const __m512i at = _mm512_set1_epi32((int32_t)k);
-            const __m512 upper = load_pairs(a, b), lower = load_pairs(a + 4 * (uint64_t)w, b + 4 * (uint64_t)w);
-            const __m512 value = _mm512_add_ps(upper, _mm512_mul_ps(_mm512_sub_ps(lower, upper), _mm512_permutexvar_ps(_mm512_add_epi32(row, at), fy)));
-            const __m512 weighted = _mm512_mul_ps(value, _mm512_permutex2var_ps(fx, _mm512_add_epi32(side, at), rx));
-            sum = _mm512_mask_add_ps(sum, both ? 0xffff : 0x00ff, sum, weighted);
-        }
-    }
-    _mm512_storeu_ps(sums, sum);
-}
 
 /* Every third bit. */
 static inline __m512i compact(__m512i x)
@@ -90,10 +56,18 @@ static inline __m512i compact(__m512i x)
     return _mm512_and_si512(_mm512_or_si512(x, _mm512_srli_epi32(x, 8)), _mm512_set1_epi32(0xff));
 }
 
-/* A table of 32 numbers. */
-typedef struct table { __m512 low, high; } table;
-static inline table load_table(const float *t) { return (table){_mm512_loadu_ps(t), _mm512_loadu_ps(t + 16)}; }
-static inline __m512 look(const table *t, __m512i at) { return _mm512_permutex2var_ps(t->low, at, t->high); }
+void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16])
+{
+    const texel_source from = {texels};
+    read_footprint(&from, w, n, x, y, sums);
+}
+
+void svoi_wide_read(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l, uint64_t lanes, bool wraps,
+                    const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES])
+{
+    const texel_source from = {texels};
+    read_inner(&from, w, h, f, n, l, lanes, wraps, cx, cy, scale, out);
+}
 
 void svoi_wide_places(const svo_facet *t, const svoi_inner *in, svoi_lanes *l)
 {
@@ -148,121 +122,6 @@ svoi_sorted_lanes svoi_wide_sort(const svoi_inner_texture *f, const svoi_lanes *
         r.far |= (uint64_t)(asked & (__mmask16) ~(in | near)) << i;
     }
     return r;
-}
-
-/* Two texels of a row, and of another. */
-static inline __m512 load_corners(const uint16_t *texels, uint32_t a_left, uint32_t a_right, uint32_t b_left, uint32_t b_right)
-{
-    const __m128i a = _mm_unpacklo_epi64(_mm_loadl_epi64((const __m128i *)(const void *)(texels + 4 * (uint64_t)a_left)), _mm_loadl_epi64((const __m128i *)(const void *)(texels + 4 * (uint64_t)a_right)));
-    const __m128i b = _mm_unpacklo_epi64(_mm_loadl_epi64((const __m128i *)(const void *)(texels + 4 * (uint64_t)b_left)), _mm_loadl_epi64((const __m128i *)(const void *)(texels + 4 * (uint64_t)b_right)));
-    return _mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_inserti128_si256(_mm256_castsi128_si256(a), b, 1)));
-}
-
-/* Numbers that may be one period out. */
-static inline __m512i around(__m512i i, __m512i n)
-{
-    i = _mm512_mask_add_epi32(i, _mm512_movepi32_mask(i), i, n);
-    return _mm512_mask_sub_epi32(i, _mm512_cmpge_epi32_mask(i, n), i, n);
-}
-
-/* 16 lanes, each with all its readings. */
-static inline void read_lanes(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_tap_plan *n, const bool wraps, __m512 x0, __m512 y0, const __m512 step[2],
-                              const __m512 side[2], __m512 sum[8])
-{
-    const __m512i left = _mm512_setr_epi32(16, 16, 16, 16, 0, 0, 0, 0, 17, 17, 17, 17, 1, 1, 1, 1), both = _mm512_setr_epi32(0, 0, 0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1, 1);
-    const __m512i columns = _mm512_set1_epi32((int32_t)w), rows = _mm512_set1_epi32((int32_t)h), one = _mm512_set1_epi32(1);
-    for (int k = 0; k < 8; k++) sum[k] = _mm512_setzero_ps();
-    for (uint32_t i = 0; i < n->along; i++)
-        for (uint32_t j = 0; j < n->across; j++) {
-            const __m512 a = _mm512_set1_ps((float)i), c = _mm512_set1_ps((float)j);
-            const __m512 x = _mm512_add_ps(x0, _mm512_add_ps(_mm512_mul_ps(a, step[0]), _mm512_mul_ps(c, side[0])));
-            const __m512 y = _mm512_add_ps(y0, _mm512_add_ps(_mm512_mul_ps(a, step[1]), _mm512_mul_ps(c, side[1])));
-            const __m512 whole_x = wraps ? _mm512_roundscale_ps(x, 9) : x, whole_y = wraps ? _mm512_roundscale_ps(y, 9) : y;
-            __m512i ix = _mm512_cvttps_epi32(whole_x), iy = _mm512_cvttps_epi32(whole_y);
-            const __m512 fx = _mm512_sub_ps(x, _mm512_cvtepi32_ps(ix)), fy = _mm512_sub_ps(y, _mm512_cvtepi32_ps(iy)), rx = _mm512_sub_ps(_mm512_set1_ps(1), fx);
-            uint32_t at[4][16]; /* upper left, upper right, lower left, lower right */
-            if (wraps) {
-                ix = around(ix, columns), iy = around(iy, rows);
-                __m512i jx = _mm512_add_epi32(ix, one), jy = _mm512_add_epi32(iy, one);
-                jx = _mm512_maskz_mov_epi32(_mm512_cmplt_epi32_mask(jx, columns), jx), jy = _mm512_maskz_mov_epi32(_mm512_cmplt_epi32_mask(jy, rows), jy);
-                const __m512i upper = _mm512_mullo_epi32(iy, columns), lower = _mm512_mullo_epi32(jy, columns);
-                _mm512_storeu_si512(at[0], _mm512_add_epi32(upper, ix));
-                _mm512_storeu_si512(at[1], _mm512_add_epi32(upper, jx));
-                _mm512_storeu_si512(at[2], _mm512_add_epi32(lower, ix));
-                _mm512_storeu_si512(at[3], _mm512_add_epi32(lower, jx));
-            } else {
-                _mm512_storeu_si512(at[0], _mm512_add_epi32(_mm512_mullo_epi32(iy, columns), ix));
-            }
-            for (uint32_t k = 0; k < 8; k++) {
-                const uint32_t p = 2 * k, q = p + 1;
-                const __m512i shift = _mm512_set1_epi32((int32_t)p);
-                __m512 top, bottom;
-                if (wraps) {
-                    top = load_corners(texels, at[0][p], at[1][p], at[0][q], at[1][q]);
-                    bottom = load_corners(texels, at[2][p], at[3][p], at[2][q], at[3][q]);
-                } else {
-                    const uint16_t *s = texels + 4 * (uint64_t)at[0][p], *t = texels + 4 * (uint64_t)at[0][q];
-                    top = load_pairs(s, t), bottom = load_pairs(s + 4 * (uint64_t)w, t + 4 * (uint64_t)w);
-                }
-                const __m512 value = _mm512_add_ps(top, _mm512_mul_ps(_mm512_sub_ps(bottom, top), _mm512_permutexvar_ps(_mm512_add_epi32(both, shift), fy)));
-                sum[k] = _mm512_add_ps(sum[k], _mm512_mul_ps(value, _mm512_permutex2var_ps(fx, _mm512_add_epi32(left, shift), rx)));
-            }
-        }
-}
-
-/* Means of three components. */
-static inline void means_of(const __m512 sum[8], float scale, __m512 out[3])
-{
-    const __m512 by = _mm512_set1_ps(scale);
-    __m512 quad[4]; /* four lanes each */
-    for (int k = 0; k < 4; k++) {
-        const __m512 a = sum[2 * k], b = sum[2 * k + 1];
-        quad[k] = _mm512_mul_ps(_mm512_add_ps(_mm512_shuffle_f32x4(a, b, 0x88), _mm512_shuffle_f32x4(a, b, 0xdd)), by);
-    }
-    const __m512i two[2] = {_mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 1, 5, 9, 13, 17, 21, 25, 29), _mm512_setr_epi32(2, 6, 10, 14, 18, 22, 26, 30, 0, 0, 0, 0, 0, 0, 0, 0)};
-    const __m512 first = _mm512_permutex2var_ps(quad[0], two[0], quad[1]), second = _mm512_permutex2var_ps(quad[2], two[0], quad[3]);
-    out[0] = _mm512_shuffle_f32x4(first, second, 0x44);
-    out[1] = _mm512_shuffle_f32x4(first, second, 0xee);
-    out[2] = _mm512_shuffle_f32x4(_mm512_permutex2var_ps(quad[0], two[1], quad[1]), _mm512_permutex2var_ps(quad[2], two[1], quad[3]), 0x44);
-}
-
-void svoi_wide_read(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l, uint64_t lanes, bool wraps,
-                    const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES])
-{
-    const table back_x = load_table(f->back_x), back_y = load_table(f->back_y), step_x = load_table(f->step_x), step_y = load_table(f->step_y);
-    const table side_x = load_table(f->side_x), side_y = load_table(f->side_y);
-    const uint64_t whole = l->count < 64 ? ((uint64_t)1 << l->count) - 1 : UINT64_MAX;
-    float at_x[SVOI_LANES + 16], at_y[SVOI_LANES + 16], mean[3][SVOI_LANES];
-    uint32_t row[SVOI_LANES + 16], count = 0;
-    const bool all = lanes == whole;
-    for (uint32_t i = 0; i < l->count; i += 16) {
-        const __mmask16 m = all ? 0xffff : (__mmask16)(lanes >> i);
-        const __m512i step = _mm512_maskz_compress_epi32(m, _mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i *)(const void *)(l->step + i))));
-        _mm512_storeu_si512(row + count, step);
-        _mm512_storeu_ps(at_x + count, _mm512_sub_ps(_mm512_maskz_compress_ps(m, _mm512_loadu_ps(cx + i)), look(&back_x, step)));
-        _mm512_storeu_ps(at_y + count, _mm512_sub_ps(_mm512_maskz_compress_ps(m, _mm512_loadu_ps(cy + i)), look(&back_y, step)));
-        count += (uint32_t)__builtin_popcount(m);
-    }
-    if (all) count = l->count;
-    float(*to)[SVOI_LANES] = all ? out : mean;
-    for (uint32_t i = 0; i < count; i += 16) {
-        const __mmask16 m = count - i < 16 ? (__mmask16)((1u << (count - i)) - 1) : 0xffff; /* the rest reads the first texel */
-        const __m512i r = _mm512_loadu_si512(row + i);
-        const __m512 step[2] = {_mm512_maskz_mov_ps(m, look(&step_x, r)), _mm512_maskz_mov_ps(m, look(&step_y, r))}, side[2] = {_mm512_maskz_mov_ps(m, look(&side_x, r)), _mm512_maskz_mov_ps(m, look(&side_y, r))};
-        const __m512 x = _mm512_maskz_loadu_ps(m, at_x + i), y = _mm512_maskz_loadu_ps(m, at_y + i);
-        __m512 sum[8], means[3];
-        if (wraps) read_lanes(texels, w, h, n, true, x, y, step, side, sum);
-        else read_lanes(texels, w, h, n, false, x, y, step, side, sum);
-        means_of(sum, scale, means);
-        for (int c = 0; c < 3; c++) _mm512_storeu_ps(to[c] + i, means[c]);
-    }
-    if (all) return;
-    count = 0;
-    for (uint32_t i = 0; i < l->count; i += 16) {
-        const __mmask16 m = (__mmask16)(lanes >> i);
-        for (int c = 0; c < 3; c++) _mm512_storeu_ps(out[c] + i, _mm512_mask_expandloadu_ps(_mm512_loadu_ps(out[c] + i), m, mean[c] + count));
-        count += (uint32_t)__builtin_popcount(m);
-    }
 }
 
 void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out)
@@ -373,6 +232,11 @@ void svoi_wide_footprint(const uint16_t *texels, uint32_t w, const svoi_tap_plan
 {
     (void)texels, (void)w, (void)n, (void)x, (void)y, (void)sums;
 }
+void svoi_wide_read(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l, uint64_t lanes, bool wraps,
+                    const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES])
+{
+    (void)texels, (void)w, (void)h, (void)f, (void)n, (void)l, (void)lanes, (void)wraps, (void)cx, (void)cy, (void)scale, (void)out;
+}
 void svoi_wide_places(const svo_facet *t, const svoi_inner *in, svoi_lanes *l)
 {
     (void)t, (void)in, (void)l;
@@ -381,11 +245,6 @@ svoi_sorted_lanes svoi_wide_sort(const svoi_inner_texture *f, const svoi_lanes *
 {
     (void)f, (void)l, (void)steps, (void)cx, (void)cy, (void)width, (void)height;
     return (svoi_sorted_lanes){0, 0, 0};
-}
-void svoi_wide_read(const uint16_t *texels, uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l, uint64_t lanes, bool wraps,
-                    const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES])
-{
-    (void)texels, (void)w, (void)h, (void)f, (void)n, (void)l, (void)lanes, (void)wraps, (void)cx, (void)cy, (void)scale, (void)out;
 }
 void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out)
 {

@@ -148,7 +148,10 @@ void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out
     *out = (svo_pyramid){.image = image, .kind = kind, .levels = 1};
     for (int i = 0; i < 256; i++) {
         out->linear[i] = svo_srgb_to_linear((uint8_t)i);
-        out->stored[i] = (float)(uint16_t)(out->linear[i] * 65535 + 0.5f);
+        const uint16_t stored = (uint16_t)(out->linear[i] * 65535 + 0.5f);
+        out->stored[i] = stored;
+        out->halves[0][i] = (uint8_t)stored;
+        out->halves[1][i] = (uint8_t)(stored >> 8);
     }
     out->outside = image->paged != NULL;
     out->width[0] = image->width;

@@ -29,6 +29,7 @@ typedef struct svo_pyramid {
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
     float linear[256];   /* of a byte of level 0 */
     float stored[256];   /* the same as the other levels hold it: whole numbers up to 65535 */
+    uint8_t halves[2][256]; /* their lower and upper bytes */
     const svo_allocator *allocator;
     bool outside;     /* the image is paged, */
     svo_paged *paged; /* and levels 1.. are in this */

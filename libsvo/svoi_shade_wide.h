@@ -30,4 +30,11 @@ void svoi_wide_colors(const uint32_t *steps, const float *r, const float *g, con
  * Reads up to a multiple of eight. */
 void svoi_wide_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums);
 
+/* svoi_wide_footprint and svoi_wide_read of images of bytes (four a texel, the fourth taken for 65535), by the lower and the upper bytes of the numbers that
+ * they stand for, and whether there is such a thing. Numbers of texels are below 2^31, and eight bytes are read at each. */
+bool svoi_bytes_has_wide(void);
+void svoi_bytes_footprint(const uint8_t *pixels, const uint8_t halves[2][256], uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16]);
+void svoi_bytes_read(const uint8_t *pixels, const uint8_t halves[2][256], uint32_t w, uint32_t h, const svoi_inner_texture *f, const svoi_tap_plan *n, const svoi_lanes *l,
+                     uint64_t lanes, bool wraps, const float *cx, const float *cy, float scale, float (*out)[SVOI_LANES]);
+
 #endif

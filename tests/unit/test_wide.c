@@ -229,3 +229,47 @@ TEST(attributes_are_the_same_without)
         loose_free(&m);
     }
 }
+
+TEST(bytes_are_read_as_the_numbers_they_stand_for)
+{
+    static uint8_t pixels[4 * WIDTH * HEIGHT], halves[2][256];
+    static uint16_t texels[4 * WIDTH * HEIGHT];
+    uint64_t seed = 11;
+    if (!svoi_bytes_has_wide()) {
+        printf("        skipped: this processor or compiler has no AVX-512 VBMI\n");
+        return;
+    }
+    for (int i = 0; i < 512; i++) halves[i / 256][i % 256] = (uint8_t)test_random(&seed);
+    for (uint32_t i = 0; i < 4 * WIDTH * HEIGHT; i++) {
+        pixels[i] = (uint8_t)test_random(&seed);
+        texels[i] = i % 4 == 3 ? 65535 : (uint16_t)(halves[0][pixels[i]] | halves[1][pixels[i]] << 8);
+    }
+    for (int round = 0; round < 1000; round++) {
+        svoi_inner_texture f;
+        svoi_lanes *l = calloc(1, sizeof *l);
+        svoi_tap_plan n = {.along = 1 + (uint32_t)round % 7, .across = 1 + (uint32_t)round % 4};
+        float cx[SVOI_LANES], cy[SVOI_LANES], out[2][4][SVOI_LANES], sums[2][16] = {{0}};
+        const bool wraps = round % 2 == 1;
+        memset(&f, 0, sizeof f);
+        memset(out, 0, sizeof out);
+        for (uint32_t k = 0; k < SVOI_INNER_ROWS; k++) { /* steps of up to a texel, all of it at least ten texels from where it begins */
+            f.step_x[k] = (float)test_random_unit(&seed), f.step_y[k] = (float)test_random_unit(&seed);
+            f.side_x[k] = (float)test_random_unit(&seed), f.side_y[k] = (float)test_random_unit(&seed);
+        }
+        l->count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
+        for (uint32_t i = 0; i < SVOI_LANES; i++) {
+            l->step[i] = (uint8_t)(test_random(&seed) % 17);
+            cx[i] = (float)(test_random_unit(&seed) * (WIDTH - 13) + (wraps ? 9 : 0)), cy[i] = (float)(test_random_unit(&seed) * (HEIGHT - 13) + (wraps ? 9 : 0));
+        }
+        const uint64_t all = l->count < 64 ? ((uint64_t)1 << l->count) - 1 : UINT64_MAX, lanes = round % 3 == 0 ? all : all & test_random(&seed);
+        svoi_wide_read(texels, WIDTH, HEIGHT, &f, &n, l, lanes, wraps, cx, cy, 0.25f, out[0]);
+        svoi_bytes_read(pixels, (const uint8_t(*)[256])halves, WIDTH, HEIGHT, &f, &n, l, lanes, wraps, cx, cy, 0.25f, out[1]);
+        for (uint32_t c = 0; c < 3; c++)
+            for (uint32_t i = 0; i < l->count; i++) CHECK(out[0][c][i] == out[1][c][i] && (lanes >> i & 1 || out[0][c][i] == 0));
+        n.step[0] = f.step_x[0], n.step[1] = f.step_y[0], n.side[0] = f.side_x[0], n.side[1] = f.side_y[0];
+        svoi_wide_footprint(texels, WIDTH, &n, 1.5f, 2.25f, sums[0]);
+        svoi_bytes_footprint(pixels, (const uint8_t(*)[256])halves, WIDTH, &n, 1.5f, 2.25f, sums[1]);
+        CHECK(memcmp(sums[0], sums[1], sizeof *sums) == 0);
+        free(l);
+    }
+}
