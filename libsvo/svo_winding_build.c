@@ -17,6 +17,19 @@ typedef struct scan {
     uint64_t sum[256][2];
 } scan;
 
+/* The corner with which the corners are least in order. */
+static uint32_t first_corner(const int32_t q[3][3])
+{
+    uint32_t first = 0;
+    for (uint32_t f = 1; f < 3; f++)
+        for (uint32_t i = 0; i < 9; i++) {
+            const int32_t a = q[(f + i / 3) % 3][i % 3], b = q[(first + i / 3) % 3][i % 3];
+            if (a < b) first = f;
+            if (a != b) break;
+        }
+    return first;
+}
+
 /* False where a corner is not finite. */
 static bool snap(const svo_grid *grid, const svo_vec3 v[3], uint64_t number, svoi_triangle *out, uint64_t sum[2])
 {
@@ -26,9 +39,10 @@ static bool snap(const svo_grid *grid, const svo_vec3 v[3], uint64_t number, svo
     int32_t q[3][3];
     for (int k = 0; k < 3; k++) svo_grid_snap(grid, v[k], q[k]);
     svoi_edge_sum((const int32_t(*)[3])q, sum);
-    memcpy(out->q, q, sizeof q);
+    const uint32_t first = first_corner((const int32_t(*)[3])q);
+    for (uint32_t k = 0; k < 3; k++) memcpy(out->q[k], q[(first + k) % 3], sizeof q[k]);
     out->number = (uint32_t)number;
-    out->turned = 0;
+    out->turned = first << 1;
     return true;
 }
 
@@ -318,7 +332,7 @@ static svo_result part_classes(svo_winding *w, svoi_store *sorted, uint64_t coun
         svoi_triangle *to = svoi_at(&w->triangles[c], at[c]++);
         if (sorted->data != NULL) *to = *(const svoi_triangle *)svoi_at(sorted, i);
         if (!(k & SVOI_TURNED)) continue;
-        to->turned = 1;
+        to->turned |= 1;
         int32_t swap[3];
         memcpy(swap, to->q[1], sizeof swap);
         memcpy(to->q[1], to->q[2], sizeof swap);

@@ -194,10 +194,13 @@ bool svo_winding_nearest(const svo_winding *w, const int32_t p[3], svo_winding_h
     for (uint32_t c = 0; c < SVOI_CLASSES; c++)
         if (w->tree[c].count != 0) nearest_in(w, c, p, &best, hit, barycentric);
     if (hit->triangle == UINT32_MAX) return false;
-    if (((const svoi_triangle *)svoi_at(&w->triangles[hit->part], hit->at))->turned) {
+    const uint32_t turned = ((const svoi_triangle *)svoi_at(&w->triangles[hit->part], hit->at))->turned;
+    if (turned & 1) {
         const double swap = barycentric[1];
         barycentric[1] = barycentric[2];
         barycentric[2] = swap;
     }
+    const double own[3] = {barycentric[0], barycentric[1], barycentric[2]};
+    for (uint32_t k = 0; k < 3; k++) barycentric[((turned >> 1) + k) % 3] = own[k];
     return true;
 }

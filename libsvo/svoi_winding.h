@@ -8,11 +8,11 @@
 
 enum { SVOI_ORIENTED = 0, SVOI_EVEN = 1, SVOI_OPEN = 2, SVOI_CLASSES = 3, SVOI_TURNED = 4 /* a bit beside the class */ };
 
-/* A snapped triangle with its number in the placement. Sorted by the Morton code of its middle, then by its corners, so that what is made of
- * them does not depend on the order they came in. */
+/* A snapped triangle with its number in the placement. Its corners begin with the least of them (by x, then y, then z), and triangles are sorted by the Morton code of
+ * their middles, then by their corners, so that what is made of them depends neither on their order nor on which of their corners came first. */
 typedef struct svoi_triangle {
     int32_t q[3][3];
-    uint32_t number, turned; /* turned: the last two corners have changed places */
+    uint32_t number, turned; /* turned: bit 0: the last two corners have changed places; the rest: before that, which corner of the placement came first */
 } svoi_triangle;
 
 /* An edge at which open parts end. */
