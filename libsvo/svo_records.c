@@ -150,12 +150,18 @@ static void make_buckets(svoi_top *t)
     }
 }
 
+uint64_t svoi_records_count(const svo_view *v, uint32_t level)
+{
+    uint64_t count = 0;
+    for (uint32_t l = level; l + 2 <= v->brick_level; l++) count += svo_view_stored(v, l);
+    return count;
+}
+
 void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a)
 {
     const bool best = v->layout == SVO_LAYOUT_BEST;
-    uint64_t bits = 8 * (best ? v->best_stream_bytes : v->fast.tree_bytes), count = 0;
-    for (uint32_t l = t->level; l + 2 <= v->brick_level; l++) count += svo_view_stored(v, l);
-    if (count == 0 || count > SVOI_RECORDS || bits >> SVOI_RECORD_BITS != 0) return;
+    uint64_t bits = 8 * (best ? v->best_stream_bytes : v->fast.tree_bytes), count = svoi_records_count(v, t->level);
+    if (count == 0 || bits >> SVOI_RECORD_BITS != 0) return;
     t->record_count = count;
     t->bucket_count = (bits >> SVOI_RECORD_SHIFT) + 1;
     t->record = svo_calloc(a, count, sizeof *t->record);

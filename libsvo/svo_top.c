@@ -1,5 +1,5 @@
 /* The table of the cells of an upper level. */
-#include "svoi_top.h"
+#include "svoi_fast.h"
 
 #include <string.h>
 
@@ -72,6 +72,15 @@ static uint64_t count_nodes(const svo_view *v, uint32_t level)
     return n;
 }
 
+/* The deepest with at most so many cells, and nodes above them. */
+static uint32_t choose_level(const svo_view *v, uint64_t cells, uint32_t lowest)
+{
+    uint32_t level = 0;
+    while (level < lowest && v->nodes[level + 1] <= cells) level++;
+    while (level >= 2 && count_nodes(v, level) > cells) level--;
+    return level;
+}
+
 /* What records and their cells replace. */
 static void free_wide(svoi_top *t, const svo_allocator *a)
 {
@@ -81,14 +90,21 @@ static void free_wide(svoi_top *t, const svo_allocator *a)
     t->size = NULL, t->node = NULL, t->cell = NULL;
 }
 
-svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *a)
+/* Without memory: none. */
+static void make_bricks(svoi_top *t, const svo_view *v, const svo_allocator *a)
+{
+    t->brick_count = v->brick_count;
+    t->brick = svo_alloc(a, v->brick_count, sizeof *t->brick);
+    for (uint64_t i = 0; t->brick != NULL && i < v->brick_count; i++) t->brick[i] = (uint8_t)svoi_brick_size(svo_view_brick_lod(v), v->bricks[i]);
+}
+
+svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, uint64_t records, const svo_allocator *a)
 {
     if (v->empty || v->depth < 4 || (v->layout != SVO_LAYOUT_FAST && v->layout != SVO_LAYOUT_BEST)) return NULL;
     uint64_t bytes = v->layout == SVO_LAYOUT_FAST ? v->fast.tree_bytes : v->best_stream_bytes;
     const uint32_t lowest = v->brick_level < 4 ? v->brick_level - 1 : v->brick_level - 2; /* 16^3, so that there are records */
-    uint32_t level = 0;
-    while (level < lowest && v->nodes[level + 1] <= cells) level++;
-    while (level >= 2 && count_nodes(v, level) > cells) level--;
+    uint32_t level = choose_level(v, cells, lowest);
+    if (level >= 2 && svoi_records_count(v, level) > records && bytes >> SVOI_TOP_SHARE > cells) level = choose_level(v, bytes >> SVOI_TOP_SHARE, lowest);
     if (level < 2 || bytes >> (SVOI_TOP_PLACE_BITS - 3) != 0) return NULL;
     svoi_top *t = svo_calloc(a, 1, sizeof *t);
     if (t == NULL) return NULL;
@@ -107,8 +123,10 @@ svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *
         join_cells(t, code);
     }
     svo_free(a, code, t->cell_count, sizeof *code);
-    if (ok) svoi_records_make(t, v, a);
+    if (ok && svoi_records_count(v, level) <= records) svoi_records_make(t, v, a);
     if (!ok || t->record != NULL) free_wide(t, a);
+    else if (v->layout == SVO_LAYOUT_FAST && !v->unnumbered) svoi_sizes_make(&t->sizes, v, a);
+    if (ok && v->layout == SVO_LAYOUT_FAST && !v->unnumbered) make_bricks(t, v, a);
     if (ok) return t;
     svoi_top_free(t, a);
     return NULL;
@@ -117,13 +135,16 @@ svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *
 void svo_view_accelerate(svo_view *v, const svo_allocator *a)
 {
     svoi_top_free(v->top, a);
-    v->top = svoi_top_make(v, SVOI_TOP_CELLS, a);
+    v->top = NULL; /* what makes the tables reads the view */
+    v->top = svoi_top_make(v, SVOI_TOP_CELLS, SVOI_RECORDS, a);
 }
 
 void svoi_top_free(svoi_top *t, const svo_allocator *a)
 {
     if (t == NULL) return;
     svoi_records_free(t, a);
+    svoi_sizes_free(&t->sizes, a);
+    svo_free(a, t->brick, t->brick_count, sizeof *t->brick);
     free_wide(t, a);
     svo_free(a, t, 1, sizeof *t);
 }

@@ -161,6 +161,14 @@ static inline uint64_t svoi_tags_bytes(uint32_t tags)
     return (t | t << 6) & 0x0303030303030303u;
 }
 
+/* Attributes of a brick with a code of `ids` bits for its number at bit p. */
+static inline uint32_t svoi_fast_brick_size(const svo_view *v, uint64_t p, uint32_t ids)
+{
+    if (ids == SVO_FAST_LITERAL) return (uint32_t)svoi_brick_size(svo_view_brick_lod(v), svoi_fast_bits64(v, p, 64));
+    uint64_t id = svoi_fast_bits(v, p, ids);
+    return v->top != NULL && v->top->brick != NULL ? v->top->brick[id] : (uint32_t)svoi_brick_size(svo_view_brick_lod(v), v->bricks[id]);
+}
+
 /* Attributes of a block's children in the stored octants of `which`; *end: the bit after the block. */
 static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_block *b, uint32_t which, uint64_t *end)
 {
@@ -175,19 +183,14 @@ static inline uint64_t svoi_fast_bricks_size(const svo_view *v, const svoi_fast_
         at = at * 0x0101010101010101u << 8;
         for (uint32_t m = which & b->refs; m != 0; m &= m - 1) {
             uint32_t slot = (uint32_t)__builtin_popcount(b->refs & ((m & (0u - m)) - 1)), tag = b->tags >> 2 * slot & 3;
-            uint64_t p = b->codes + (at >> 8 * slot & 255);
-            uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
-            size += svoi_brick_size(svo_view_brick_lod(v), brick);
+            size += svoi_fast_brick_size(v, b->codes + (at >> 8 * slot & 255), ids[tag]);
         }
         return size;
     }
     uint64_t p = b->codes;
     for (uint32_t left = b->refs, tags = b->tags; left != 0; left &= left - 1, tags >>= 2) {
         uint32_t tag = tags & 3;
-        if (which & left & (0u - left)) {
-            uint64_t brick = ids[tag] == SVO_FAST_LITERAL ? svoi_fast_bits64(v, p, 64) : v->bricks[svoi_fast_bits(v, p, ids[tag])];
-            size += svoi_brick_size(svo_view_brick_lod(v), brick);
-        }
+        if (which & left & (0u - left)) size += svoi_fast_brick_size(v, p, ids[tag]);
         p += width[tag];
     }
     return size;
@@ -205,6 +208,10 @@ static inline uint64_t svoi_fast_children_size(const svo_view *v, uint32_t level
         return size;
     }
     if (v->top != NULL && v->top->record != NULL) return svoi_record_size(svoi_record_find(v->top, begin), which);
+    if (v->top != NULL && v->top->sizes.size != NULL && n->inner != n->codes) {
+        const svoi_size *known = svoi_sizes_find(&v->top->sizes, begin);
+        if (known != NULL) return svoi_size_sum(known->size, which, (1 << SVOI_SIZE_BITS) - 1);
+    }
     /* of nodes of 16^3: their children are blocks, whose bricks are counted */
     uint64_t inner = n->inner, codes = n->codes;
     const svo_view_fast_level *l = &v->fast.level[level];

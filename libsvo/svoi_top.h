@@ -4,7 +4,10 @@
  * 1. The cells of one upper level, by place, so that a look-up need not begin at the root: a 64-ary tree with a mask a node, each step two levels: a step is one look into a node of 16 bytes. It leads to the
  * cells of `level`, in the order of the grid, each with what the layout needs to go on from there.
  * 2. All stored nodes from that level down to 16^3 voxels, where they are few enough: a record of one cache line each with the sizes of the
- * children and where they are, so that a look-up decodes nothing above the blocks (8^3). Then the cells of 1 name records and take 8 bytes. */
+ * children and where they are, so that a look-up decodes nothing above the blocks (8^3). Then the cells of 1 name records and take 8 bytes.
+ * 3. Else, in layout fast: of those nodes of 16^3 voxels that refer to blocks elsewhere, the sizes of the children, which a look-up would have to
+ * visit to count their bricks. 16 bytes a node, found by its position.
+ * 4. In layout fast: a byte for each brick of the dictionary, its attributes. */
 #ifndef SVOI_TOP_H
 #define SVOI_TOP_H
 
@@ -13,6 +16,7 @@
 #include "svoi_best.h"
 
 enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 17, SVOI_RECORD_SHIFT = 8, SVOI_RECORD_BITS = 26 }; /* at most */
+enum { SVOI_TOP_SHARE = 6 }; /* more cells where there are no records: one for each 64 bytes of the tree */
 
 typedef struct svoi_top_node {
     uint64_t mask;  /* children: 4x4x4 cells in Morton order */
@@ -46,6 +50,18 @@ typedef struct svoi_record {
 #define SVOI_RECORD_FULL UINT32_MAX /* a full leaf */
 _Static_assert(sizeof(svoi_record) == 64, "one cache line");
 
+/* Sizes of the children of nodes of 16^3 voxels, where there are no records (layout fast). */
+typedef struct svoi_size {
+    uint16_t size[8]; /* bits 0..9: attributes of a child, 0: no child; above them in the first two: bits 0..5 and 6..11 of where the node begins */
+} svoi_size;
+typedef struct svoi_sizes {
+    svoi_size *size; /* in order of position; NULL: none */
+    uint32_t *bucket; /* number of the first at or behind bit i << shift; the last is their number */
+    uint64_t count, capacity, bucket_count;
+    uint32_t shift;
+} svoi_sizes;
+enum { SVOI_SIZE_BITS = 10, SVOI_SIZE_SHIFT = 12 }; /* a size is at most 1 + 8 * 73; the shift at most */
+
 typedef struct svoi_top {
     uint32_t level, shift; /* of the cells; tree_depth - level */
     uint32_t steps;
@@ -59,6 +75,9 @@ typedef struct svoi_top {
     uint64_t record_count, bottom; /* first record of 16^3 voxels */
     uint32_t *bucket;     /* number of the first of them at or behind bit i << SVOI_RECORD_SHIFT */
     uint64_t bucket_count;
+    svoi_sizes sizes;
+    uint8_t *brick; /* layout fast, numbered: attributes of each brick of the dictionary; NULL: none */
+    uint64_t brick_count;
 } svoi_top;
 
 /* Place of a voxel's cell among the 64 of a step: two bits of each coordinate from bit k on. */
@@ -89,20 +108,36 @@ static inline const svoi_record *svoi_record_find(const svoi_top *t, uint64_t at
     while (n->at != (uint32_t)at) n++;
     return n;
 }
-/* Attributes of its children in the stored octants of `which`: four sizes at once, added in pairs. */
-static inline uint32_t svoi_record_size(const svoi_record *n, uint32_t which)
+/* The sum of those of eight 16-bit numbers that `which` names, `lane` of each: four at once, added in pairs. */
+static inline uint32_t svoi_size_sum(const void *sizes, uint32_t which, uint32_t lane)
 {
     const uint64_t even = 0x0000ffff0000ffffu, ones = 0x0001000100010001u, bits = 0x0008000400020001u;
     uint64_t s[2];
-    memcpy(s, n->size, sizeof s);
+    memcpy(s, sizes, sizeof s);
     for (uint32_t i = 0; i < 2; i++, which >>= 4) {
         uint64_t m = (which & 15) * ones & bits; /* one bit a lane */
-        m = ((m + 0x7fff * ones) >> 15 & ones) * 0xffff;
+        m = ((m + 0x7fff * ones) >> 15 & ones) * lane;
         s[i] &= m;
         s[i] = (s[i] & even) + (s[i] >> 16 & even);
     }
     s[0] += s[1];
     return (uint32_t)(s[0] + (s[0] >> 32));
+}
+/* Attributes of its children in the stored octants of `which`. */
+static inline uint32_t svoi_record_size(const svoi_record *n, uint32_t which) { return svoi_size_sum(n->size, which, 0xffff); }
+
+/* The two words of the first sizes hold its position so. */
+static inline uint32_t svoi_size_key(uint64_t at) { return (uint32_t)(at & 63) << SVOI_SIZE_BITS | (uint32_t)(at >> 6 & 63) << (16 + SVOI_SIZE_BITS); }
+/* The sizes of a node of 16^3 voxels; NULL: they are not in the table. */
+static inline const svoi_size *svoi_sizes_find(const svoi_sizes *t, uint64_t at)
+{
+    const uint32_t *b = &t->bucket[at >> t->shift], key = svoi_size_key(at);
+    for (const svoi_size *n = &t->size[b[0]], *end = &t->size[b[1]]; n != end; n++) {
+        uint32_t first;
+        memcpy(&first, n->size, sizeof first);
+        if ((first & svoi_size_key(~(uint64_t)0)) == key) return n;
+    }
+    return NULL;
 }
 
 /* From the root to the block (8^3) of a voxel, where there are records. */
@@ -153,11 +188,15 @@ static inline uint64_t svoi_top_place(svoi_best_node n, uint32_t turn) { return 
 static inline uint32_t svoi_top_turn(uint64_t place) { return place & 63; }
 static inline svoi_best_node svoi_top_node_at(uint64_t place) { return (svoi_best_node){place >> 14, place >> 6 & 0xff}; }
 
-/* At most `cells` of them. NULL when the octree has no upper level worth it, or there is no memory. */
-svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, const svo_allocator *a);
+/* At most `cells` of them (more of a large tree that has no records) and at most `records`, where there are as few. NULL when the octree has no upper level worth it, or there is no memory. */
+svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, uint64_t records, const svo_allocator *a);
 /* Table 2; none where the nodes are too many, or without memory. */
+uint64_t svoi_records_count(const svo_view *v, uint32_t level); /* with cells of this level */
 void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a);
 void svoi_records_free(svoi_top *t, const svo_allocator *a);
+/* Table 3; none where it would be larger than the tree, or without memory. */
+void svoi_sizes_make(svoi_sizes *t, const svo_view *v, const svo_allocator *a);
+void svoi_sizes_free(svoi_sizes *t, const svo_allocator *a);
 void svoi_top_free(svoi_top *t, const svo_allocator *a);
 
 #endif

@@ -83,7 +83,7 @@ static void same_voxels(const tree *t, const svo_view *plain, const svo_view *v)
     same_places(t, plain, v);
     for (int i = 0; i < 3 && !test_failed(); i++) {
         svo_view other = *v;
-        other.top = svoi_top_make(&other, cells[i], NULL);
+        other.top = svoi_top_make(&other, cells[i], SVOI_RECORDS, NULL);
         same_places(t, plain, &other);
         svoi_top_free(other.top, NULL);
     }

@@ -131,18 +131,21 @@ static void same_places(const svo_view *a, const svo_view *b, const tree *t, uin
     }
 }
 
-/* The tables for look-ups change nothing: without them, with those of any level. */
+/* The tables for look-ups change nothing: without them, with those of any level, with and without records. */
+static uint64_t sizes_seen; /* nodes whose children's sizes were in a table */
 static void same_with_other_tables(const svo_view *a, const svo_view *b, const tree *t)
 {
     static const uint64_t cells[] = {0, 64, 600, 5000};
-    for (int i = 0; i < 4 && !test_failed(); i++) {
+    for (int i = 0; i < 8 && !test_failed(); i++) {
         uint64_t seed = 31;
         svo_view v = *b;
-        v.top = svoi_top_make(&v, cells[i], NULL);
-        CHECK(i != 0 || v.top == NULL);
+        v.top = svoi_top_make(&v, cells[i / 2], i % 2 == 0 ? SVOI_RECORDS : 0, NULL);
+        CHECK(i > 1 || v.top == NULL);
+        CHECK(i % 2 == 0 || v.top == NULL || v.top->record == NULL);
+        if (v.top != NULL) sizes_seen += v.top->sizes.count;
         same_places(a, &v, t, &seed);
-        if (i % 2 == 0) same_nodes(a, &v, 0, svo_view_root(a), svo_view_root(&v));
-        if (i % 2 == 0) same_rays(a, &v, &seed);
+        if (i % 4 < 2) same_nodes(a, &v, 0, svo_view_root(a), svo_view_root(&v));
+        if (i % 4 < 2) same_rays(a, &v, &seed);
         svoi_top_free(v.top, NULL);
     }
 }
@@ -203,6 +206,7 @@ TEST(random_trees)
             compare(&t);
             tree_free(&t);
         }
+    CHECK(sizes_seen > 100 || test_failed());
 }
 
 /* --- by name ------------------------------------------------------------------------------------------------------ */
@@ -426,6 +430,17 @@ TEST(tables_without_memory)
         CHECK(v.top == NULL && svo_limit_in_use(&a) == 0);
         CHECK(fail < 20);
     }
+    for (uint64_t fail = 1; fail < 10 && !test_failed(); fail++) { /* the same with sizes */
+        svo_limit_allocator a;
+        svo_limit_allocator_init(&a, UINT64_MAX, NULL);
+        a.fail_at = fail;
+        v.top = NULL;
+        v.top = svoi_top_make(&v, 600, 0, &a.base);
+        same_places(svo_packed_view(plain), &v, &t, &seed);
+        svoi_top_free(v.top, &a.base);
+        CHECK(svo_limit_in_use(&a) == 0);
+    }
+    v.top = NULL;
     tree_free(&t);
     svo_packed_free(p);
     svo_packed_free(plain);
