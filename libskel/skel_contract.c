@@ -7,6 +7,7 @@
  * in m, and 4 smoothing steps share one ball search. docs/design/005-skeletons.md has the reasons and the figures. */
 #include "skeli_internal.h"
 #include "skeli_solid.h"
+#include "skeli_thick.h"
 
 #include <math.h>
 #include <string.h>
@@ -22,6 +23,9 @@ enum {
     SETTLED_AFTER = 150,   /* sweeps without a weld after which any vertex may be damped */
     REVERSALS_FREE = 8,    /* a vertex may turn round that often before it is damped */
     SMOOTHING_STEPS = 4,   /* a ball search, fast method */
+    THICK_INTERVAL = 10,   /* sweeps between looks at what is thick */
+    SLOW_WORK = 10000000,  /* vertices times sweeps */
+    SLOW_COUNT = 20000,    /* vertices that are left then where there is far to go: the quick way costs detail, so others do without */
     PARALLEL_FROM = 4096   /* fewer items are not worth a thread */
 };
 #define STILL 1e-3 /* of omega: largest movement of a quiet sweep */
@@ -33,6 +37,11 @@ typedef struct contraction {
     bool merged_lately; /* damping waits for the welds to have done what they can */
     bool fast;
     struct skeli_solid *solid;
+    skeli_pool *pool;
+    uint8_t *doublings; /* of the radius of each vertex's ball */
+    float *way;         /* that each vertex has left before it meets another part of the surface */
+    uint32_t thick;     /* vertices with any */
+    bool ways;          /* are known: where there are few vertices there is no need */
     /* search */
     int32_t *point;
     uint32_t *point_weight, *point_of, *order;
@@ -84,9 +93,9 @@ static svo_result ball_means(contraction *c, svo_error *err)
     }
     double radius = c->omega / SKEL_LATTICE;
     if (c->options->search == SKEL_SEARCH_GRID)
-        SVO_TRY(skel_radius_grid(c->options->allocator, c->point, c->point_weight, points, radius, c->options->threads, c->sum, err));
+        SVO_TRY(skel_radius_grid(c->options->allocator, c->point, c->point_weight, c->thick > 0 ? c->doublings : NULL, points, radius, c->options->threads, c->sum, err));
     else
-        SVO_TRY(skel_radius_flann(c->point, c->point_weight, points, radius, c->options->threads, c->sum, err));
+        SVO_TRY(skel_radius_flann(c->point, c->point_weight, c->thick > 0 ? c->doublings : NULL, points, radius, c->options->threads, c->sum, err));
     for (uint64_t i = 0; i < s->count; i++) {
         const skel_ball_sum *b = &c->sum[c->fast ? i : c->point_of[i]];
         s->mean[3 * i] = (double)b->x / (double)b->weight;
@@ -182,6 +191,7 @@ static movement move(contraction *c, double *target)
             last[k] = f * step[k];
             p[k] = rint(p[k] + last[k]);
         }
+        if (c->ways) c->way[i] -= (float)(2 * f * length); /* what it is on its way to may come as fast */
     }
     return m;
 }
@@ -281,12 +291,37 @@ static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_st
     return SVO_OK;
 }
 
+/* A group has the shortest way of its members. */
+static void collapse(contraction *c, uint32_t groups)
+{
+    skeli_state *s = c->s;
+    float *shortest = (float *)c->sum; /* not in use between sweeps */
+    if (c->ways) {
+        for (uint32_t g = 0; g < groups; g++) shortest[g] = INFINITY;
+        for (uint32_t i = 0; i < s->count; i++)
+            if (c->way[i] < shortest[s->label[i]]) shortest[s->label[i]] = c->way[i];
+        memcpy(c->way, shortest, groups * sizeof *shortest);
+        if (c->thick > 0) c->thick = skeli_doublings(c->way, groups, c->omega, c->doublings);
+    }
+    skeli_collapse(s, groups);
+}
+
+/* Thick parts: wider balls, and clusters of a quarter of their radius. */
+static void weld_thick(contraction *c)
+{
+    skeli_state *s = c->s;
+    c->thick = skeli_doublings(c->way, s->count, c->omega, c->doublings);
+    if (c->thick == 0) return;
+    const uint32_t clusters = skeli_cluster(s, c->omega / 4, c->doublings);
+    if (clusters < s->count) collapse(c, clusters);
+}
+
 static svo_result weld_live(contraction *c, uint32_t *removed, svo_error *err)
 {
     uint32_t groups;
     SVO_TRY(skeli_weld(c->options->allocator, c->s->position, c->s->count, NULL, c->omega / 8, c->s->label, &groups, err));
     *removed = c->s->count - groups;
-    if (groups < c->s->count) skeli_collapse(c->s, groups);
+    if (groups < c->s->count) collapse(c, groups);
     return SVO_OK;
 }
 
@@ -317,8 +352,8 @@ static svo_result weld_dense(contraction *c, svo_error *err)
     uint32_t balls, removed;
     SVO_TRY(skeli_weld(c->options->allocator, s->position, s->count, NULL, c->omega, s->label, &balls, err));
     if (s->count / CLUSTER_BALL < balls) return SVO_OK;
-    uint32_t clusters = skeli_cluster(s, c->omega / 2);
-    if (clusters < s->count) skeli_collapse(s, clusters);
+    uint32_t clusters = skeli_cluster(s, c->omega / 2, NULL);
+    if (clusters < s->count) collapse(c, clusters);
     return s->count / DENSE_BALL < balls ? SVO_OK : weld_live(c, &removed, err);
 }
 
@@ -327,8 +362,14 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
     const skel_options *o = c->options;
     uint64_t limit = o->max_iterations != 0 ? o->max_iterations : 6000, last_weld = 0, last_removal = 0;
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
+    uint64_t work = 0;
+    bool hurry = false;
     movement m = {0, 0};
-    if (c->fast) SVO_TRY(weld_dense(c, err));
+    if (c->fast) {
+        SVO_TRY(weld_dense(c, err));
+        c->ways = c->s->count >= SLOW_COUNT;
+        if (c->ways) SVO_TRY(skeli_ways(c->pool, c->s, o->threads, c->way, err));
+    }
     if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, 0, true, err));
     for (uint64_t it = 1; it <= limit && !report->converged; it++) {
         c->merged_lately = it - last_removal <= SETTLED_AFTER;
@@ -340,6 +381,12 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
         if (o->progress != NULL && !o->progress(o->user, (double)it / (double)limit))
             return svo_fail(err, SVO_CANCELLED, "cancelled after %llu sweeps", (unsigned long long)it);
         if (!c->fast) continue;
+        work += c->s->count;
+        hurry = hurry || (c->ways && work >= SLOW_WORK && c->s->count >= SLOW_COUNT);
+        if (hurry && it % THICK_INTERVAL == 0) {
+            weld_thick(c);
+            if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, c->omega / 4 * (1 << SKELI_MOST_DOUBLINGS), false, err));
+        }
         if (it - last_weld < interval) continue;
         uint32_t before = c->s->count, removed;
         SVO_TRY(weld_live(c, &removed, err));
@@ -360,11 +407,13 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
 {
     SVO_TRY(begin_state(pool, mesh, s, err));
     uint64_t n = s->count;
-    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .fast = options->method == SKEL_METHOD_FAST, .solid = solid};
+    contraction c = {.s = s, .options = options, .omega = options->omega * SKEL_LATTICE, .fast = options->method == SKEL_METHOD_FAST, .solid = solid, .pool = pool};
     c.point = skeli_take(pool, 3 * n, sizeof *c.point);
     c.point_weight = skeli_take(pool, n, sizeof *c.point_weight);
     c.sum = skeli_take(pool, n, sizeof *c.sum);
-    bool ok = c.point != NULL && c.point_weight != NULL && c.sum != NULL;
+    c.doublings = skeli_take(pool, n, sizeof *c.doublings);
+    c.way = skeli_take(pool, n, sizeof *c.way);
+    bool ok = c.point != NULL && c.point_weight != NULL && c.sum != NULL && c.doublings != NULL && c.way != NULL;
     if (!c.fast) {
         c.point_of = skeli_take(pool, n, sizeof *c.point_of);
         c.order = skeli_take(pool, n, sizeof *c.order);
@@ -377,6 +426,8 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
     skeli_give(pool, c.point);
     skeli_give(pool, c.point_weight);
     skeli_give(pool, c.sum);
+    skeli_give(pool, c.doublings);
+    skeli_give(pool, c.way);
     skeli_give(pool, c.point_of);
     skeli_give(pool, c.order);
     skeli_give(pool, c.key);

@@ -23,12 +23,13 @@ typedef struct skel_ball_sum {
 } skel_ball_sum;
 
 /* FLANN's exact single-tree index. points: 3 * count lattice coordinates; weights: count, each 1 .. 2^31 - 1, their sum below 2^38;
- * radius in units, > 0; count < 2^31; out: count. Errors: SVO_OUT_OF_MEMORY, SVO_RUNTIME (an exception of the library). */
-svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, uint64_t count, double radius, uint32_t threads,
+ * radius in units, > 0; doublings: how often the radius of each point's ball is doubled, 0 .. 7 (NULL: never); count < 2^31; out: count.
+ * Errors: SVO_OUT_OF_MEMORY, SVO_RUNTIME (an exception of the library). */
+svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius, uint32_t threads,
                              skel_ball_sum *out, svo_error *err);
 
 /* The same through a grid with cells of the radius (brute force for few points). Scratch memory from `a`. */
-svo_result skel_radius_grid(const svo_allocator *a, const int32_t *points, const uint32_t *weights, uint64_t count, double radius,
+svo_result skel_radius_grid(const svo_allocator *a, const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius,
                             uint32_t threads, skel_ball_sum *out, svo_error *err);
 
 #ifdef __cplusplus

@@ -9,6 +9,7 @@
 typedef struct grid {
     const int32_t *points;
     const uint32_t *weights;
+    const uint8_t *doublings; /* may be NULL */
     uint64_t count;
     float squared; /* in lattice steps squared */
     skel_ball_sum *out;
@@ -25,6 +26,9 @@ static inline bool inside(int32_t dx, int32_t dy, int32_t dz, float squared)
     float x = (float)dx, y = (float)dy, z = (float)dz;
     return (x * x + y * y) + z * z < squared;
 }
+
+/* The squared radius of point i: times a power of two, which is exact. */
+static inline float squared_of(const grid *g, uint64_t i) { return g->doublings == NULL ? g->squared : g->squared * (float)(1u << 2 * g->doublings[i]); }
 
 /* Candidates of a cell as arrays (weights are below 2^31). */
 typedef struct gathered {
@@ -53,10 +57,11 @@ static svo_result brute(void *user, uint64_t begin, uint64_t end, uint32_t worke
     const grid *g = user;
     for (uint64_t i = begin; i < end; i++) {
         const int32_t *p = g->points + 3 * i;
+        const float squared = squared_of(g, i);
         skel_ball_sum s = {0};
         for (uint64_t j = 0; j < g->count; j++) {
             const int32_t *q = g->points + 3 * j;
-            if (!inside(q[0] - p[0], q[1] - p[1], q[2] - p[2], g->squared)) continue;
+            if (!inside(q[0] - p[0], q[1] - p[1], q[2] - p[2], squared)) continue;
             int64_t w = g->weights[j];
             s.x += w * q[0];
             s.y += w * q[1];
@@ -129,7 +134,7 @@ static svo_result search_rows(void *user, uint64_t begin, uint64_t end, uint32_t
             if (result != SVO_OK) break;
             for (uint32_t k = g->start[cell]; k < g->start[cell + 1]; k++) {
                 uint32_t i = g->order[k];
-                g->out[i] = sum_candidates(&c, g->points + 3 * (uint64_t)i, g->squared);
+                g->out[i] = sum_candidates(&c, g->points + 3 * (uint64_t)i, squared_of(g, i));
             }
         }
     }
@@ -137,13 +142,13 @@ static svo_result search_rows(void *user, uint64_t begin, uint64_t end, uint32_t
     return result;
 }
 
-svo_result skel_radius_grid(const svo_allocator *a, const int32_t *points, const uint32_t *weights, uint64_t count, double radius,
+svo_result skel_radius_grid(const svo_allocator *a, const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius,
                             uint32_t threads, skel_ball_sum *out, svo_error *err)
 {
     if (count == 0) return SVO_OK;
     if (count > INT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu points are too many for the radius search", (unsigned long long)count);
     float r = (float)radius, squared = r * r;
-    grid g = {.points = points, .weights = weights, .count = count, .out = out, .allocator = a};
+    grid g = {.points = points, .weights = weights, .doublings = doublings, .count = count, .out = out, .allocator = a};
     g.squared = squared * (float)SKEL_LATTICE * (float)SKEL_LATTICE;
     if (count <= 256) return brute(&g, 0, count, 0, err);
 
@@ -156,7 +161,9 @@ svo_result skel_radius_grid(const svo_allocator *a, const int32_t *points, const
             if (v > high[k]) high[k] = v;
         }
     /* The squared radius was rounded to float: the cell is wider by more than that. Fewer cells than 8 a point keep the grid small. */
-    g.cell = (int64_t)(radius * SKEL_LATTICE * 1.001) + 2;
+    uint8_t most = 0;
+    for (uint64_t i = 0; i < count && doublings != NULL; i++) most = doublings[i] > most ? doublings[i] : most;
+    g.cell = (int64_t)(radius * (1u << most) * SKEL_LATTICE * 1.001) + 2;
     uint64_t cells;
     for (;;) {
         cells = 1;

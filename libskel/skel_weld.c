@@ -98,14 +98,14 @@ svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t c
 
 /* Grow each cluster from its seed, the first vertex that has none yet, along edges: what lies nearer than `radius` to the seed and is
  * reached through members joins. Sheets that are near each other but not connected stay apart, which greedy grouping would not promise. */
-uint32_t skeli_cluster(skeli_state *s, double radius)
+uint32_t skeli_cluster(skeli_state *s, double radius, const uint8_t *doublings)
 {
-    const double reach = radius * radius;
     uint32_t clusters = 0, *queue = s->bucket; /* count + 2 elements */
     memset(s->label, 0xff, (size_t)s->count * sizeof *s->label);
     for (uint32_t first = 0; first < s->count; first++) {
         if (s->label[first] != SVO_NONE) continue;
         const double *seed = s->position + 3 * (uint64_t)first;
+        const double wide = doublings == NULL ? radius : doublings[first] == 0 ? 0 : radius * (double)(1u << doublings[first]), reach = wide * wide;
         uint64_t head = 0, tail = 0;
         s->label[first] = clusters;
         queue[tail++] = first;
@@ -113,7 +113,7 @@ uint32_t skeli_cluster(skeli_state *s, double radius)
             uint32_t v = queue[head++];
             for (uint64_t e = s->edge_start[v]; e < s->edge_start[v + 1]; e++) {
                 uint32_t u = s->edge[2 * e + 1];
-                if (s->label[u] != SVO_NONE) continue;
+                if (s->label[u] != SVO_NONE || (doublings != NULL && doublings[u] < doublings[first])) continue;
                 const double *p = s->position + 3 * (uint64_t)u;
                 double x = p[0] - seed[0], y = p[1] - seed[1], z = p[2] - seed[2];
                 if (x * x + y * y + z * z >= reach) continue;

@@ -107,8 +107,9 @@ typedef struct skeli_state {
  * label[i] gets the seed's number, *seeds their count. */
 svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t count, const uint32_t *order, double radius,
                       uint32_t *label, uint32_t *seeds, svo_error *err);
-/* Label the live vertices by connected clusters of at most `radius` (lattice steps) around a seed; returns their number. */
-uint32_t skeli_cluster(skeli_state *s, double radius);
+/* Label the live vertices by connected clusters of at most `radius` (lattice steps) around a seed; returns their number. With doublings, a seed that has none stays
+ * alone, and the radius of the others is doubled so often; they take in no vertex that has fewer. */
+uint32_t skeli_cluster(skeli_state *s, double radius, const uint8_t *doublings);
 /* Replace the live vertices by the groups of s->label. */
 void skeli_collapse(skeli_state *s, uint32_t groups);
 /* After edges or triangles changed. */

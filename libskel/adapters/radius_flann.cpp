@@ -44,6 +44,7 @@ struct query {
     const float *floats;
     const int32_t *points;
     const uint32_t *weights;
+    const uint8_t *doublings;
     float squared;
     skel_ball_sum *out;
 };
@@ -54,7 +55,8 @@ svo_result search(void *user, uint64_t begin, uint64_t end, uint32_t, svo_error 
         const query &q = *static_cast<const query *>(user);
         flann::SearchParams parameters(flann::FLANN_CHECKS_UNLIMITED, 0.0f, false);
         for (uint64_t i = begin; i < end; i++) {
-            ball b(q.points, q.weights, q.squared);
+            const float wider = q.doublings == nullptr ? 1.0f : static_cast<float>(1u << 2 * q.doublings[i]); // a power of two: exact
+            ball b(q.points, q.weights, q.squared * wider);
             q.index->findNeighbors(b, q.floats + 3 * i, parameters);
             q.out[i] = b.sum;
         }
@@ -64,7 +66,7 @@ svo_result search(void *user, uint64_t begin, uint64_t end, uint32_t, svo_error 
 
 } // namespace
 
-extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, uint64_t count, double radius,
+extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius,
                                         uint32_t threads, skel_ball_sum *out, svo_error *err)
 {
     return svo_guard(err, [&] {
@@ -75,7 +77,7 @@ extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *w
         tree index(flann::Matrix<float>(floats.data(), count, 3), flann::KDTreeSingleIndexParams(30, true));
         index.buildIndex();
         const float r = static_cast<float>(radius);
-        query q{&index, floats.data(), points, weights, r * r, out};
+        query q{&index, floats.data(), points, weights, doublings, r * r, out};
         return svo_parallel_for(count < 2048 ? 1 : threads, count, 512, search, &q, err);
     });
 }

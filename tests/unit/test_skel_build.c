@@ -328,6 +328,25 @@ TEST(not_finite_and_unreferenced)
     shape_free(&clean);
 }
 
+/* They would make the box a million times as wide as the model, and omega with it. */
+TEST(isolated_points_far_away)
+{
+    shape m = shape_tube(4, 0.25, 40, 12), clean = shape_tube(4, 0.25, 40, 12);
+    for (int i = 0; i < 20; i++) shape_point(&m, 1e7 * (i - 7), 3e6 * (i % 3), -1e7);
+    skel_options o = options(0.03);
+    skel_skeleton s, t;
+    CHECK_OK(shape_skeleton(&m, &o, &s, &err));
+    CHECK_OK(shape_skeleton(&clean, &o, &t, &err));
+    check_sane(&s);
+    CHECK_U64(s.report.unreferenced, 20);
+    CHECK(same(&s, &t));
+    for (uint64_t i = 0; i < 20; i++) CHECK(s.map[clean.points + i] == SVO_NONE);
+    skel_skeleton_free(&s);
+    skel_skeleton_free(&t);
+    shape_free(&m);
+    shape_free(&clean);
+}
+
 /* Vertices without a triangle, more than those with one, before and between them. */
 TEST(many_unreferenced_vertices)
 {
@@ -465,6 +484,29 @@ TEST(scaled_by_a_power_of_two) { moved(0x1p-20, 0, true); }
 TEST(scaled_to_a_millionth) { moved(1e-6, 0, false); }
 TEST(scaled_to_1e30) { moved(1e30, 0, false); }
 TEST(offset_by_1e9) { moved(1, 1e9, false); }
+TEST(offset_by_1e9_and_scaled_by_1e6) { moved(1e6, 1e9, false); }
+
+/* Doubles near 1e9 are 1.2e-7 apart, so of a model of 4e-6 only some thirty steps a side are left: triangles are lost, but what is left has a skeleton inside its box. */
+TEST(offset_1e9_and_scale_1e_6)
+{
+    shape m = shape_star(2, 0.18, 40, 12);
+    double low[3], high[3];
+    for (uint64_t i = 0; i < 3 * m.points; i++) {
+        m.p[i] = m.p[i] * 1e-6 + 1e9;
+        low[i % 3] = i < 3 || m.p[i] < low[i % 3] ? m.p[i] : low[i % 3];
+        high[i % 3] = i < 3 || m.p[i] > high[i % 3] ? m.p[i] : high[i % 3];
+    }
+    skel_options o = options(0.04);
+    skel_skeleton s;
+    CHECK_OK(shape_skeleton(&m, &o, &s, &err));
+    check_sane(&s);
+    CHECK(s.joint_count >= 2);
+    CHECK_U64(s.report.components, 1);
+    for (uint32_t j = 0; j < s.joint_count; j++)
+        for (int k = 0; k < 3; k++) CHECK(s.joints[j].position[k] >= low[k] - 2.4e-7 && s.joints[j].position[k] <= high[k] + 2.4e-7); /* two steps */
+    skel_skeleton_free(&s);
+    shape_free(&m);
+}
 
 TEST(rotation_keeps_the_topology)
 {

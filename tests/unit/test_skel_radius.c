@@ -9,12 +9,14 @@
 enum { MAX_POINTS = 20000 };
 static int32_t point[3 * MAX_POINTS];
 static uint32_t weight[MAX_POINTS];
+static uint8_t doublings[MAX_POINTS];
 static skel_ball_sum slow[MAX_POINTS], got[MAX_POINTS];
 
-static void brute(uint64_t n, double radius)
+static void brute(uint64_t n, double radius, bool doubled)
 {
-    float r = (float)radius, squared = r * r;
+    float r = (float)radius;
     for (uint64_t i = 0; i < n; i++) {
+        const float wider = doubled ? (float)(1 << doublings[i]) : 1, squared = r * r * wider * wider;
         skel_ball_sum s = {0};
         for (uint64_t j = 0; j < n; j++) {
             float d[3];
@@ -29,19 +31,22 @@ static void brute(uint64_t n, double radius)
     }
 }
 
-static void compare(uint64_t n, double radius)
+static void compare_with(uint64_t n, double radius, bool doubled)
 {
     svo_error err = {0};
-    brute(n, radius);
+    const uint8_t *wider = doubled ? doublings : NULL;
+    brute(n, radius, doubled);
     for (uint32_t threads = 1; threads <= 7; threads += 3) {
         memset(got, 0xff, sizeof got);
-        CHECK_OK(skel_radius_flann(point, weight, n, radius, threads, got, &err));
+        CHECK_OK(skel_radius_flann(point, weight, wider, n, radius, threads, got, &err));
         CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "FLANN differs: %llu points, radius %g, %u threads", (unsigned long long)n, radius, threads);
         memset(got, 0xff, sizeof got);
-        CHECK_OK(skel_radius_grid(NULL, point, weight, n, radius, threads, got, &err));
+        CHECK_OK(skel_radius_grid(NULL, point, weight, wider, n, radius, threads, got, &err));
         CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "the grid differs: %llu points, radius %g, %u threads", (unsigned long long)n, radius, threads);
     }
 }
+
+static void compare(uint64_t n, double radius) { compare_with(n, radius, false); }
 
 static int32_t coordinate(uint64_t *seed, int32_t range) { return (int32_t)((test_random_unit(seed) * 2 - 1) * range); }
 
@@ -55,6 +60,21 @@ TEST(volume)
         }
         for (double radius = 0.003; radius < 4 && !test_failed(); radius *= 3) compare(n, radius);
     }
+}
+
+/* Balls of different widths at once: no point sees another's. */
+TEST(doubled_radii)
+{
+    uint64_t seed = 9;
+    for (uint64_t n = 100; n <= 3000 && !test_failed(); n = n * 3 + 1)
+        for (uint32_t most = 0; most <= 3; most++) {
+            for (uint64_t i = 0; i < n; i++) {
+                for (uint64_t k = 0; k < 3; k++) point[3 * i + k] = coordinate(&seed, SKEL_LATTICE - 1);
+                weight[i] = 1 + (uint32_t)(test_random(&seed) % 5);
+                doublings[i] = (uint8_t)(test_random(&seed) % (most + 1));
+            }
+            for (double radius = 0.01; radius < 1 && !test_failed(); radius *= 4) compare_with(n, radius, true);
+        }
 }
 
 TEST(line_and_plane)
@@ -118,6 +138,6 @@ TEST(clusters_far_apart)
 TEST(nothing)
 {
     svo_error err = {0};
-    CHECK_OK(skel_radius_flann(point, weight, 0, 1, 1, got, &err));
-    CHECK_OK(skel_radius_grid(NULL, point, weight, 0, 1, 1, got, &err));
+    CHECK_OK(skel_radius_flann(point, weight, NULL, 0, 1, 1, got, &err));
+    CHECK_OK(skel_radius_grid(NULL, point, weight, NULL, 0, 1, 1, got, &err));
 }
