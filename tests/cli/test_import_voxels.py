@@ -133,7 +133,7 @@ def test_nrrd(folder):
     check(run("svo-dump", folder / "w.svo", "--json").json["depth"] == 5)
     check(tool("svo-voxelize", folder / "a.nrrd", "-o", folder / "x.svo", "--depth", 1).code == 1)
     good = (folder / "a.nrrd").read_bytes()
-    for code, change in ((3, (b"sizes: 4 3 2", b"sizes: 4 3 3")), (3, (b"type: signed char", b"type: block")), (3, (b"encoding: raw", b"encoding: gzip")), (5, (b"encoding: raw", b"encoding: bzip2")), (3, (b"dimension: 3", b"dimension: 2")),
+    for code, change in ((3, (b"sizes: 4 3 2", b"sizes: 4 3 3")), (3, (b"type: signed char", b"type: block")), (3, (b"encoding: raw", b"encoding: gzip")), (3, (b"encoding: raw", b"encoding: bzip2")), (5, (b"encoding: raw", b"encoding: zstd")), (3, (b"dimension: 3", b"dimension: 2")),
                          (3, (b"sizes: 4 3 2", b"sizes: 4000000 3 2")), (2, (b"spacings: 2 1 0.5", b"data file: x.raw")), (3, (b"spacings: 2 1 0.5", b"spacings: 2 0 0.5"))):
         (folder / "b.nrrd").write_bytes(good.replace(*change))
         check(tool("svo-voxelize", folder / "b.nrrd", "-o", folder / "x.svo").code == code, change)
