@@ -291,7 +291,7 @@ svo_result svo_view_prepare(svo_view *v, const svo_allocator *a, svo_error *err)
 void svo_view_release(svo_view *v, const svo_allocator *a);
 
 /* Make tables that svo_view_voxel uses where the layout is fast or best: of an upper level by place, of the stored nodes
- * between it and the blocks of 8^3 voxels or, where they are many, of sizes of blocks (layout fast). They take at most 10 MiB or 1.8 times the
+ * between it and the blocks of 8^3 voxels or, where they are many, of sizes of blocks (layout fast). They take at most 35 MiB or 1.8 times the
  * stored geometry. One walk over the cells of that level, one over the stored nodes. Only for views that are valid. Without memory there are no tables; results are the same. svo_view_release
  * frees them. Opened files and built octrees have them. */
 void svo_view_accelerate(svo_view *v, const svo_allocator *a);

@@ -15,7 +15,7 @@
 
 #include "svoi_best.h"
 
-enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 17, SVOI_RECORD_SHIFT = 8, SVOI_RECORD_BITS = 26 }; /* at most */
+enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 19, SVOI_RECORD_SHIFT = 8, SVOI_RECORD_BITS = 26 }; /* at most */
 enum { SVOI_TOP_SHARE = 6 }; /* more cells where there are no records: one for each 64 bytes of the tree */
 
 typedef struct svoi_top_node {
