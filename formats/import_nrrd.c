@@ -182,6 +182,14 @@ static svo_result put(filler *f, const uint8_t *p, uint64_t n)
     return SVO_OK;
 }
 
+/* What decoders, which count in 32 bits, take at a time. */
+static uint32_t next_piece(const uint8_t **p, uint64_t *size)
+{
+    const uint32_t n = *size < (1u << 30) ? (uint32_t)*size : 1u << 30;
+    *p += n, *size -= n;
+    return n;
+}
+
 static svo_result inflate_all(const uint8_t *p, uint64_t size, filler *f)
 {
     uint8_t *out = malloc(PIECE);
@@ -194,11 +202,8 @@ static svo_result inflate_all(const uint8_t *p, uint64_t size, filler *f)
     int code = Z_OK;
     while (r == SVO_OK && f->left != 0 && code == Z_OK) {
         if (z.avail_in == 0) {
-            const uint64_t n = size < (1u << 30) ? size : 1u << 30;
             z.next_in = (Bytef *)(uintptr_t)p;
-            z.avail_in = (uInt)n;
-            p += n;
-            size -= n;
+            z.avail_in = next_piece(&p, &size);
         }
         z.next_out = out;
         z.avail_out = PIECE;
@@ -228,11 +233,8 @@ static svo_result unpack_bzip2(const uint8_t *p, uint64_t size, filler *f)
     bool ends = false;
     while (r == SVO_OK && f->left != 0 && code == BZ_OK && !ends) {
         if (z.avail_in == 0) {
-            const uint64_t n = size < (1u << 30) ? size : 1u << 30;
             z.next_in = (char *)(uintptr_t)p;
-            z.avail_in = (unsigned)n;
-            p += n;
-            size -= n;
+            z.avail_in = next_piece(&p, &size);
         }
         z.next_out = out;
         z.avail_out = PIECE;

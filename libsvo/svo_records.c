@@ -150,18 +150,24 @@ static void make_buckets(svoi_top *t)
     }
 }
 
-uint64_t svoi_records_count(const svo_view *v, uint32_t level)
+static uint64_t records_count(const svo_view *v, uint32_t level)
 {
     uint64_t count = 0;
     for (uint32_t l = level; l + 2 <= v->brick_level; l++) count += svo_view_stored(v, l);
     return count;
 }
 
+static uint64_t tree_bits(const svo_view *v) { return 8 * (v->layout == SVO_LAYOUT_BEST ? v->best_stream_bytes : v->fast.tree_bytes); }
+
+bool svoi_records_fit(const svo_view *v, uint32_t level, uint64_t most)
+{
+    const uint64_t count = records_count(v, level);
+    return count != 0 && count <= most && tree_bits(v) >> SVOI_RECORD_BITS == 0;
+}
+
 void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a)
 {
-    const bool best = v->layout == SVO_LAYOUT_BEST;
-    uint64_t bits = 8 * (best ? v->best_stream_bytes : v->fast.tree_bytes), count = svoi_records_count(v, t->level);
-    if (count == 0 || bits >> SVOI_RECORD_BITS != 0) return;
+    const uint64_t bits = tree_bits(v), count = records_count(v, t->level);
     t->record_count = count;
     t->bucket_count = (bits >> SVOI_RECORD_SHIFT) + 1;
     t->record = svo_calloc(a, count, sizeof *t->record);

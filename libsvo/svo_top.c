@@ -104,7 +104,7 @@ svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, uint64_t records, con
     uint64_t bytes = v->layout == SVO_LAYOUT_FAST ? v->fast.tree_bytes : v->best_stream_bytes;
     const uint32_t lowest = v->brick_level < 4 ? v->brick_level - 1 : v->brick_level - 2; /* 16^3, so that there are records */
     uint32_t level = choose_level(v, cells, lowest);
-    if (level >= 2 && svoi_records_count(v, level) > records && bytes >> SVOI_TOP_SHARE > cells) level = choose_level(v, bytes >> SVOI_TOP_SHARE, lowest);
+    if (level >= 2 && !svoi_records_fit(v, level, records) && bytes >> SVOI_TOP_SHARE > cells) level = choose_level(v, bytes >> SVOI_TOP_SHARE, lowest);
     if (level < 2 || bytes >> (SVOI_TOP_PLACE_BITS - 3) != 0) return NULL;
     svoi_top *t = svo_calloc(a, 1, sizeof *t);
     if (t == NULL) return NULL;
@@ -123,7 +123,7 @@ svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, uint64_t records, con
         join_cells(t, code);
     }
     svo_free(a, code, t->cell_count, sizeof *code);
-    if (ok && svoi_records_count(v, level) <= records) svoi_records_make(t, v, a);
+    if (ok && svoi_records_fit(v, level, records)) svoi_records_make(t, v, a);
     if (!ok || t->record != NULL) free_wide(t, a);
     else if (v->layout == SVO_LAYOUT_FAST && !v->unnumbered) svoi_sizes_make(&t->sizes, v, a);
     if (ok && v->layout == SVO_LAYOUT_FAST && !v->unnumbered) make_bricks(t, v, a);

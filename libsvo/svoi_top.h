@@ -191,8 +191,9 @@ static inline svoi_best_node svoi_top_node_at(uint64_t place) { return (svoi_bes
 /* At most `cells` of them (more of a large tree that has no records) and at most `records`, where there are as few. NULL when the octree has no upper level worth it, or there is no memory. */
 svoi_top *svoi_top_make(const svo_view *v, uint64_t cells, uint64_t records, const svo_allocator *a);
 /* Table 2; none where the nodes are too many, or without memory. */
-uint64_t svoi_records_count(const svo_view *v, uint32_t level); /* with cells of this level */
-void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a);
+/* With cells of this level, are there nodes for records, at most so many, in a tree whose positions they can hold? */
+bool svoi_records_fit(const svo_view *v, uint32_t level, uint64_t most);
+void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a); /* where they fit; without memory there are none */
 void svoi_records_free(svoi_top *t, const svo_allocator *a);
 /* Table 3; none where it would be larger than the tree, or without memory. */
 void svoi_sizes_make(svoi_sizes *t, const svo_view *v, const svo_allocator *a);

@@ -12,7 +12,6 @@
 
 #include "embree_picture.h"
 #include "fmt_file.h"
-#include "fmt_import.h"
 #include "fmt_svdag.h"
 #include "svo_rays.h"
 #include "svo_resample.h"
@@ -146,16 +145,11 @@ static void compare(const char *file, const svo_view *view, const posed_mesh *p)
 
 int main(int argc, char **argv)
 {
-    uint32_t width = 640;
-    int at = 1;
-    if (argc > 3 && strcmp(argv[1], "-w") == 0) width = (uint32_t)atoi(argv[2]), at = 3;
-    if (argc < at + 2 || width < 16 || width > 4096) return fputs("usage: bench_poses [-w WIDTH] MESH A.svdag [B.svdag ...]\n", stderr), 1;
+    uint32_t width;
     svo_mesh mesh;
     svo_error err = {0};
-    fmt_import_options import = {.skip_images = true};
-    if (fmt_import_mesh(argv[at], &import, &mesh, &err) != SVO_OK) fail(argv[at], &err);
     double low[3], high[3];
-    if (!svo_mesh_bounds(&mesh, low, high)) return fprintf(stderr, "%s: no triangles\n", argv[at]), 1;
+    const int at = bench_begin("bench_poses", argc, argv, &width, &mesh, low, high);
     RTCDevice device = rtcNewDevice("threads=1");
     posed_mesh poses[4];
     for (int k = 0; k < 4; k++) pose_make(&poses[k], k, low, high), draw_reference(&poses[k], device, &mesh, width);

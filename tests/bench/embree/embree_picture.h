@@ -6,6 +6,7 @@
 #include <time.h>
 
 #include "embree_mesh.h"
+#include "fmt_import.h"
 #include "svo_render.h"
 
 /* Of this thread. */
@@ -28,6 +29,20 @@ static void fail(const char *name, const svo_error *err)
 {
     fprintf(stderr, "%s: %s\n", name, err->message);
     exit(1);
+}
+
+/* Reads "NAME [-w WIDTH] MESH FILES...": the mesh, free by svo_mesh_free, and its bounds. Returns the place of MESH. */
+static int bench_begin(const char *name, int argc, char **argv, uint32_t *width, svo_mesh *mesh, double low[3], double high[3])
+{
+    const fmt_import_options import = {.skip_images = true};
+    svo_error err = {0};
+    int at = 1;
+    *width = 640;
+    if (argc > 3 && strcmp(argv[1], "-w") == 0) *width = (uint32_t)atoi(argv[2]), at = 3;
+    if (argc < at + 2 || *width < 16 || *width > 4096) fprintf(stderr, "usage: %s [-w WIDTH] MESH A.svdag [B.svdag ...]\n", name), exit(1);
+    if (fmt_import_mesh(argv[at], &import, mesh, &err) != SVO_OK) fail(argv[at], &err);
+    if (!svo_mesh_bounds(mesh, low, high)) fprintf(stderr, "%s: no triangles\n", argv[at]), exit(1);
+    return at;
 }
 
 enum { EMBREE_SAMPLES = 8 }; /* a side */
