@@ -6,26 +6,27 @@ set -eu
 cd "$(dirname -- "$0")/.."
 docs/install_packages.sh
 
-one() { # preset, ctest arguments...
+one() { # preset, target, ctest arguments...
     preset=$1
-    shift
+    target=$2
+    shift 2
     build=build
     [ "$preset" = release ] || build=build-$preset
     cmake --preset "$preset" >"$build.log" 2>&1 || { cat "$build.log"; exit 1; }
-    cmake --build "$build" || exit 1
+    cmake --build "$build" --target "$target" || exit 1
     ctest --test-dir "$build" --output-on-failure --no-tests=error -j "$(nproc)" "$@" || failed=1
 }
 
 failed=0
 if [ $# -eq 0 ]; then
-    one asan -L sanitize
-    one release
+    one asan sanitized_tests -L sanitize
+    one release all
 else
     for preset in "$@"; do
         case $preset in
-        release) one release ;;
-        asan) one asan ;;
-        tsan) one tsan -L threads ;;
+        release) one release all ;;
+        asan) one asan all ;;
+        tsan) one tsan all -L threads ;;
         *) echo "usage: tests/run.sh [release|asan|tsan]..." >&2; exit 1 ;;
         esac
     done
