@@ -8,8 +8,9 @@
  *   diffuse  from each primary hit over the hemisphere, weighted by the cosine
  *   random   10^6 chords from a sphere around the box into the box
  * Secondary rays begin 1/240 of the longest side along the normal above the hit: 4 voxels at 1024^3.
- * All systems take turns on the same list; a rate is of thread CPU time, best of the repeats, with -t 2 of two threads
- * (rays over the mean of their CPU times). -o takes one list alone (primary, shadow, ...). -s adds svo_raycast, -c compares every hit with svo_raycast's.
+ * All systems take turns on the same list, which is traced as often as fills a fifth of a second: a list takes 10 ms, in which a new thread's cold caches and
+ * whatever else the machine does count too much. A rate is of thread CPU time, best of the repeats, with -t 2 of two threads (rays over the mean of their CPU
+ * times), beside what one thread does in the same repeats. -o takes one list alone (primary, shadow, ...). -s adds svo_raycast, -c compares every hit with svo_raycast's.
  * -a decodes all attributes of every hit as well. -k takes another kernel than the best: avx2 or portable. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
@@ -164,7 +165,7 @@ typedef struct job {
     const svo_view *view;
     const svo_rays *rays;
     const svo_ray *grid;
-    uint64_t count;
+    uint64_t count, passes; /* rays, and how often they are traced */
     atomic_uint_fast64_t next;
 } job;
 typedef struct worker { job *job; double seconds; uint64_t hits, sum; pthread_t thread; } worker;
@@ -178,9 +179,11 @@ static void *work(void *user)
     uint8_t *values = get(CHUNK, SVO_MAX_STRIDE);
     double start = thread_seconds();
     w->hits = w->sum = 0;
+    const uint64_t chunks = (j->count + CHUNK - 1) / CHUNK;
     for (;;) {
-        uint64_t first = atomic_fetch_add(&j->next, CHUNK);
-        if (first >= j->count) break;
+        uint64_t first = atomic_fetch_add(&j->next, 1);
+        if (first >= chunks * j->passes) break;
+        first = first % chunks * CHUNK;
         uint32_t n = j->count - first < CHUNK ? (uint32_t)(j->count - first) : CHUNK;
         bool any = j->set == SHADOW;
         if (j->kind == EMBREE) w->hits += embree_chunk(j->scene, j->world + first, n, j->set);
@@ -203,11 +206,13 @@ static void *work(void *user)
     return NULL;
 }
 
-static double run(job *j, int threads, uint64_t *hits)
+/* Seconds of a thread for one pass. */
+static double run_passes(job *j, int threads, uint64_t passes, uint64_t *hits)
 {
     worker w[MAX_THREADS];
     double seconds = 0;
     j->next = 0;
+    j->passes = passes;
     *hits = 0;
     for (int i = 0; i < threads; i++) {
         w[i].job = j;
@@ -219,7 +224,22 @@ static double run(job *j, int threads, uint64_t *hits)
         seconds += w[i].seconds;
         *hits += w[i].hits;
     }
-    return seconds / threads;
+    *hits /= passes;
+    return seconds / threads / (double)passes;
+}
+
+/* One system: passes of a run, 0 for not known yet; best times of one thread and of all. */
+typedef struct score { uint64_t passes, hits; double one, all; } score;
+
+static void run(job *j, int threads, score *s)
+{
+    uint64_t hits;
+    if (s->passes == 0) {
+        s->passes = 1 + (uint64_t)(0.2 * threads / run_passes(j, 1, 1, &hits));
+        s->one = s->all = INFINITY;
+    }
+    if (threads > 1) s->one = fmin(s->one, run_passes(j, 1, s->passes, &hits));
+    s->all = fmin(s->all, run_passes(j, threads, s->passes, &s->hits));
 }
 
 static uint64_t differences(const svo_view *v, const svo_rays *r, const svo_ray *rays, uint64_t count)
@@ -267,24 +287,25 @@ static void compare(const file *files, int count, RTCScene scene, const ray_list
 {
     for (int s = 0; s < SETS; s++) {
         if (only != NULL && strcmp(only, set_names[s]) != 0) continue;
-        double embree = INFINITY, best[MAX_FILES], one[MAX_FILES];
-        uint64_t hits, embree_hits = 0, found[MAX_FILES];
-        for (int f = 0; f < count; f++) best[f] = one[f] = INFINITY;
+        score embree = {.passes = 0}, fast[MAX_FILES] = {{.passes = 0}}, slow[MAX_FILES] = {{.passes = 0}};
         for (int r = 0; r < repeats; r++) {
             job j = {.kind = EMBREE, .set = s, .scene = scene, .world = lists[s].rays, .count = lists[s].count};
-            embree = fmin(embree, run(&j, threads, &embree_hits));
+            run(&j, threads, &embree);
             for (int f = 0; f < count; f++) {
                 job k = {.kind = RAYS, .set = s, .view = &files[f].dag.view, .rays = files[f].rays, .grid = files[f].lists[s], .count = lists[s].count};
-                best[f] = fmin(best[f], run(&k, threads, &found[f]));
+                run(&k, threads, &fast[f]);
                 k.kind = RAYCAST;
-                if (scalar && r < 2) one[f] = fmin(one[f], run(&k, threads, &hits));
+                if (scalar && r < 2) run(&k, threads, &slow[f]);
             }
         }
         double n = 1e-6 * (double)lists[s].count, share = 100.0 / (double)lists[s].count;
-        printf("%-8s %7.2f M  embree16 %7.2f Mray/s hit %5.1f%%\n", set_names[s], n, n / embree, share * (double)embree_hits);
+        printf("%-8s %7.2f M  embree16 %7.2f Mray/s hit %5.1f%%", set_names[s], n, n / embree.all, share * (double)embree.hits);
+        if (threads > 1) printf("  %5.2f x one thread", embree.one / embree.all);
+        putchar('\n');
         for (int f = 0; f < count; f++) {
-            printf("  %-30s %7.2f Mray/s hit %5.1f%%  %5.2f x embree16", files[f].name, n / best[f], share * (double)found[f], embree / best[f]);
-            if (scalar) printf("  svo_raycast %6.2f", n / one[f]);
+            printf("  %-30s %7.2f Mray/s hit %5.1f%%  %5.2f x embree16", files[f].name, n / fast[f].all, share * (double)fast[f].hits, embree.all / fast[f].all);
+            if (threads > 1) printf("  %5.2f x one thread", fast[f].one / fast[f].all);
+            if (scalar) printf("  svo_raycast %6.2f", n / slow[f].all);
             putchar('\n');
         }
         fflush(stdout);
