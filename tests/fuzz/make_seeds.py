@@ -308,6 +308,18 @@ class Seeds:
                                  ("long", ["--palettes", "algorithm1", "--color", "6"])):
                 self.run("svo-compress", self.path(name + ".svo"), "-o", self.path("%s-%s.svdag" % (name, tag)), *options)
                 self.keep("svdag", "%s-%s.svdag" % (name, tag))
+        # Deep trees in few bytes: what a reader may spend on each path from the root shows here, not in small ones.
+        specks = self.path("specks.obj", "v 0 0 0\nv 1e-7 0 0\nv 0 1e-7 0\nv 1 1 1\nv 1 1 0.9999999\nv 0.9999999 1 1\nf 1 2 3\nf 4 5 6\n")
+        edge = self.path("edge.obj", "v 0 0 0\nv 1 0 0\nv 1 0.00001 0\nv 1 1 1\nf 1 2 3\n")
+        box = self.path("box.off", "OFF\n8 6 12\n" + "".join("%d %d %d\n" % (i & 1, i >> 1 & 1, i >> 2) for i in range(8))
+                        + "4 0 2 3 1\n4 4 5 7 6\n4 0 1 5 4\n4 2 6 7 3\n4 0 4 6 2\n4 1 3 7 5\n")
+        for name, source, options in (("specks21", specks, ["--depth", "21"]), ("edge14", edge, ["--depth", "14", "--attributes", "normal"]),
+                                      ("block8", box, ["--depth", "8", "--fill", "solid", "--attributes", "none"])):
+            self.run("svo-voxelize", source, "-o", self.path(name + ".svo"), *options)
+            self.keep("svo", name + ".svo")
+            for geometry in ("fast", "best", "symmetric", "svdag"):
+                self.run("svo-compress", self.path(name + ".svo"), "-o", self.path("%s-%s.svdag" % (name, geometry)), "--geometry", geometry, "--normal", "6")
+                self.keep("svdag", "%s-%s.svdag" % (name, geometry))
         self.run("svo-skeleton", mesh, "-o", self.path("a.skel"), "--omega", "0.5")
         self.keep("skel", "a.skel")
         self.run("svo-skeleton", self.path("t.off", "OFF\n6 2 0\n0 0 0\n1 0 0\n0 1 0\n5 5 5\n6 5 5\n5 6 5\n3 0 1 2\n3 3 4 5\n"), "-o", self.path("two.skel"), "--omega", "0.3")
@@ -320,6 +332,8 @@ class Seeds:
         self.keep("svscene", "two.svscene")
         self.run("svo-pack", self.path("one-leaf.svdag"), "-o", self.path("one.svscene"))
         self.keep("svscene", "one.svscene")
+        self.run("svo-pack", self.path("specks21-fast.svdag"), "-o", self.path("specks21.svscene"))
+        self.keep("svscene", "specks21.svscene")
         self.put("scene_json", "full.json", json.dumps(SCENE))
         self.put("scene_json", "short.json", '{"assets":[],"instances":[]}')
         self.put("scene_json", "camera.json", '{"assets":[],"instances":[],"camera":{"translation":[0,1,2],"rotation":[0,0,0,1],"yfov":1}}')
