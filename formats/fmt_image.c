@@ -103,6 +103,23 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
     return fmt_image_decode_paged(bytes, size, false, max_pixels, a, NULL, out, err);
 }
 
+bool fmt_image_can_have_alpha(const uint8_t *bytes, uint64_t size)
+{
+    const char *name;
+    decoder fn = size != 0 ? sniff(bytes, size, &name) : NULL;
+    if (fn == image_decode_jpeg) return false;
+    if (fn != image_decode_png || size < 33) return true;
+    if (bytes[25] & 4) return true; /* colour type */
+    for (uint64_t at = 8; size - at >= 12;) {
+        const uint64_t length = (uint64_t)bytes[at] << 24 | (uint64_t)bytes[at + 1] << 16 | (uint64_t)bytes[at + 2] << 8 | bytes[at + 3];
+        if (memcmp(bytes + at + 4, "tRNS", 4) == 0) return true;
+        if (memcmp(bytes + at + 4, "IDAT", 4) == 0) return false; /* it would come before */
+        if (length > size - at - 12) return true;
+        at += 12 + length;
+    }
+    return true;
+}
+
 svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err)
 {
     fmt_bytes file;

@@ -17,6 +17,8 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
 svo_result fmt_image_decode_paged(const uint8_t *bytes, uint64_t size, bool mapped, uint64_t max_pixels, const svo_allocator *a, svo_pager *pager, svo_image *out,
                                   svo_error *err);
 svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err);
+/* False for a JPEG and for a PNG that states no alpha: all their pixels are opaque. */
+bool fmt_image_can_have_alpha(const uint8_t *bytes, uint64_t size);
 void fmt_image_free(const svo_allocator *a, svo_image *image);
 
 /* 8-bit PNG with `channels` (3 RGB or 4 RGBA) interleaved, row 0 on top; sRGB chunk set. Deterministic. */

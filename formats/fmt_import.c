@@ -97,6 +97,7 @@ static svo_result make_context(const char *path, const fmt_import_options *o, im
     c->max_file_bytes = o->max_file_bytes != 0 ? o->max_file_bytes : (uint64_t)16 << 30;
     c->max_image_pixels = o->max_image_pixels;
     c->skip_images = o->skip_images;
+    c->without = o->without;
     c->threads = o->threads;
     c->block_bytes = o->block_bytes;
     c->file_read = o->file_read;

@@ -9,11 +9,16 @@
 extern "C" {
 #endif
 
+/* Textures that the caller does not read. They are neither opened nor decoded, and materials have none in their place. Alpha of cut-outs (MASK) stays:
+ * it decides where a surface is. So without COLOR base colours are read for that alone, from images that can have alpha. */
+enum { FMT_WITHOUT_COLOR = 1, FMT_WITHOUT_EMISSIVE = 2, FMT_WITHOUT_METALLIC_ROUGHNESS = 4 };
+
 typedef struct fmt_import_options {
     const svo_allocator *allocator; /* NULL = default */
     uint64_t max_file_bytes;        /* a file (also one referred to); 0 = 16 GiB */
     uint64_t max_image_pixels;      /* 0 = 2^28 */
-    bool skip_images;               /* do not decode textures (geometry only) */
+    bool skip_images;               /* do not decode textures, not even for alpha */
+    uint32_t without;               /* FMT_WITHOUT_...: textures that nobody reads */
     uint32_t threads;               /* 0 = all; the mesh does not depend on it */
     uint64_t block_bytes;           /* text is cut into blocks of about this size, which are read in parallel; 0 = 1 MiB; nor on this */
     svo_warnings *warnings;         /* may be NULL */

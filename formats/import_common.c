@@ -10,10 +10,12 @@
 
 #include "fmt_image.h"
 #include "svo_soup.h"
+#include "svo_task.h"
 
 typedef struct import_image_key {
     char *text;
     uint32_t index;
+    bool opaque; /* it has no alpha, and was asked for that alone: not decoded */
 } import_image_key;
 
 svo_result import_no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while reading a mesh"); }
@@ -189,24 +191,41 @@ void import_images_free(import_images *images)
     svo_buffer_free(&images->keys);
 }
 
-svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size, bool mapped,
-                            uint32_t *index, svo_error *err)
+svo_result import_image_add(import_images *images, const import_context *c, const char *name, svo_image *image, uint32_t *index, svo_error *err)
 {
-    svo_image image = {0};
-    SVO_TRY(fmt_image_decode_paged(bytes, size, mapped, c->max_image_pixels, c->allocator, c->pager, &image, err));
-    if (image.name != NULL) svo_string_free(c->allocator, image.name);
-    image.name = svo_string_copy(c->allocator, name);
-    if (image.name == NULL || svo_buffer_append(&images->list, &image, sizeof image) == NULL) {
-        fmt_image_free(c->allocator, &image);
+    if (image->name != NULL) svo_string_free(c->allocator, image->name);
+    image->name = svo_string_copy(c->allocator, name);
+    if (image->name == NULL || svo_buffer_append(&images->list, image, sizeof *image) == NULL) {
+        fmt_image_free(c->allocator, image);
         return import_no_memory(err);
     }
-    *index = (uint32_t)(images->list.size / sizeof image - 1);
+    *index = (uint32_t)(images->list.size / sizeof *image - 1);
     return SVO_OK;
+}
+
+typedef struct decoding { const import_context *c; import_image_job *jobs; } decoding;
+static svo_result decode_range(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    const decoding *d = user;
+    for (uint64_t i = begin; i < end; i++) {
+        import_image_job *j = &d->jobs[i];
+        j->result = fmt_image_decode_paged(j->bytes, j->size, j->mapped, d->c->max_image_pixels, d->c->allocator, d->c->pager, &j->image, &j->why);
+    }
+    return SVO_OK;
+}
+
+void import_images_decode(const import_context *c, import_image_job *jobs, uint64_t count)
+{
+    decoding d = {c, jobs};
+    svo_error unused;
+    if (c->pager != NULL || svo_parallel_for(c->threads, count, 1, decode_range, &d, &unused) != SVO_OK) decode_range(&d, 0, count, 0, &unused);
 }
 
 static svo_result remember(import_images *images, const import_context *c, const char *reference, uint32_t index, svo_error *err)
 {
-    import_image_key key = {svo_string_copy(c->allocator, reference), index};
+    import_image_key key = {svo_string_copy(c->allocator, reference), index, false};
     if (key.text == NULL || svo_buffer_append(&images->keys, &key, sizeof key) == NULL) {
         svo_string_free(c->allocator, key.text);
         return import_no_memory(err);
@@ -214,38 +233,89 @@ static svo_result remember(import_images *images, const import_context *c, const
     return SVO_OK;
 }
 
-svo_result import_image_find(import_images *images, const import_context *c, const char *reference, uint32_t *index, svo_error *err)
+static import_image_key *known(const import_images *images, const char *reference)
 {
-    const import_image_key *key = (const import_image_key *)(void *)images->keys.data;
+    import_image_key *key = (import_image_key *)(void *)images->keys.data;
     for (size_t i = 0; i < images->keys.size / sizeof *key; i++)
-        if (strcmp(key[i].text, reference) == 0) {
-            *index = key[i].index;
-            return SVO_OK;
-        }
-    *index = SVO_NONE;
-    if (c->skip_images) return SVO_OK;
+        if (strcmp(key[i].text, reference) == 0) return &key[i];
+    return NULL;
+}
+
+/* The file that a reference names, to be decoded; without bytes where it is not (told here), or has no alpha. */
+static svo_result open_image(import_images *images, const import_context *c, const import_wish *w, fmt_bytes *bytes, svo_error *err)
+{
     char path[IMPORT_PATH_MAX];
-    uint32_t at = SVO_NONE;
-    if (!import_find(c, reference, path)) {
-        svo_warn(c->warnings, "%s: texture '%.120s' is missing; the material's colour is used alone", c->path, reference);
-    } else {
-        fmt_bytes bytes;
-        svo_error why = {0};
-        svo_result r = import_open(c, path, &bytes, &why);
-        if (r == SVO_OK) {
-            r = import_image_add(images, c, reference, bytes.data, bytes.size, bytes.mapped, &at, &why);
-            fmt_bytes_close(&bytes);
-            if (r == SVO_IO) return svo_fail(err, r, "%s", why.message); /* of temporary files */
-        }
-        if (r == SVO_OUT_OF_MEMORY) return svo_fail(err, r, "texture '%.80s': %s", reference, why.message);
-        if (r != SVO_OK) {
-            at = SVO_NONE;
-            svo_warn(c->warnings, "%s: texture '%.80s' could not be read (%.100s); the material's colour is used alone", c->path,
-                     reference, why.message);
-        }
+    memset(bytes, 0, sizeof *bytes);
+    import_image_key *key = known(images, w->reference);
+    if (key != NULL && !(key->opaque && !w->alpha_only)) return SVO_OK;
+    if (key == NULL) SVO_TRY(remember(images, c, w->reference, SVO_NONE, err));
+    key = known(images, w->reference);
+    key->opaque = false;
+    if (!import_find(c, w->reference, path)) {
+        svo_warn(c->warnings, "%s: texture '%.120s' is missing; the material's colour is used alone", c->path, w->reference);
+        return SVO_OK;
     }
-    SVO_TRY(remember(images, c, reference, at, err));
-    *index = at;
+    svo_error why = {0};
+    const svo_result r = import_open(c, path, bytes, &why);
+    if (r == SVO_OUT_OF_MEMORY) return svo_fail(err, r, "texture '%.80s': %s", w->reference, why.message);
+    if (r != SVO_OK)
+        svo_warn(c->warnings, "%s: texture '%.80s' could not be read (%.100s); the material's colour is used alone", c->path, w->reference, why.message);
+    else if (bytes->size == 0)
+        svo_warn(c->warnings, "%s: texture '%.80s' could not be read (the image is empty); the material's colour is used alone", c->path, w->reference);
+    else if (w->alpha_only && !fmt_image_can_have_alpha(bytes->data, bytes->size))
+        key->opaque = true;
+    else
+        return SVO_OK;
+    fmt_bytes_close(bytes);
+    memset(bytes, 0, sizeof *bytes);
+    return SVO_OK;
+}
+
+static svo_result take_image(import_images *images, const import_context *c, const char *reference, import_image_job *j, svo_error *err)
+{
+    if (j->result == SVO_IO) return svo_fail(err, j->result, "%s", j->why.message); /* of temporary files */
+    if (j->result == SVO_OUT_OF_MEMORY) return svo_fail(err, j->result, "texture '%.80s': %s", reference, j->why.message);
+    if (j->result == SVO_OK) {
+        j->result = SVO_INVALID_DATA; /* the image has another owner from here on */
+        return import_image_add(images, c, reference, &j->image, &known(images, reference)->index, err);
+    }
+    svo_warn(c->warnings, "%s: texture '%.80s' could not be read (%.100s); the material's colour is used alone", c->path, reference, j->why.message);
+    return SVO_OK;
+}
+
+svo_result import_images_read(import_images *images, const import_context *c, const import_wish *wishes, uint64_t count, svo_error *err)
+{
+    if (c->skip_images) return SVO_OK;
+    const svo_allocator *a = c->allocator;
+    import_image_job *jobs = svo_calloc(a, count, sizeof *jobs);
+    fmt_bytes *bytes = svo_calloc(a, count, sizeof *bytes);
+    uint64_t *wish = svo_calloc(a, count, sizeof *wish), n = 0;
+    svo_result r = count == 0 || (jobs != NULL && bytes != NULL && wish != NULL) ? SVO_OK : import_no_memory(err);
+    for (uint64_t i = 0; i < count && r == SVO_OK; i++) {
+        r = open_image(images, c, &wishes[i], &bytes[n], err);
+        if (r != SVO_OK || bytes[n].data == NULL) continue;
+        jobs[n] = (import_image_job){.bytes = bytes[n].data, .size = bytes[n].size, .mapped = bytes[n].mapped};
+        wish[n++] = i;
+    }
+    if (r == SVO_OK) import_images_decode(c, jobs, n);
+    for (uint64_t k = 0; k < n && r == SVO_OK; k++) r = take_image(images, c, wishes[wish[k]].reference, &jobs[k], err);
+    for (uint64_t k = 0; k < n; k++) {
+        if (jobs[k].result == SVO_OK) fmt_image_free(a, &jobs[k].image);
+        fmt_bytes_close(&bytes[k]);
+    }
+    svo_free(a, jobs, count, sizeof *jobs);
+    svo_free(a, bytes, count, sizeof *bytes);
+    svo_free(a, wish, count, sizeof *wish);
+    return r;
+}
+
+svo_result import_image_find(import_images *images, const import_context *c, const char *reference, bool alpha_only, uint32_t *index, svo_error *err)
+{
+    const import_wish wish = {reference, alpha_only};
+    *index = SVO_NONE;
+    SVO_TRY(import_images_read(images, c, &wish, 1, err));
+    const import_image_key *key = known(images, reference);
+    if (key != NULL) *index = key->index;
     return SVO_OK;
 }
 

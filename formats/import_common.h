@@ -21,6 +21,7 @@ typedef struct import_context {
     uint32_t threads;     /* 0 = all */
     uint64_t block_bytes; /* as in fmt_import_options */
     bool skip_images;
+    uint32_t without; /* FMT_WITHOUT_... */
     void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped); /* may be NULL */
     void *file_read_user;
     const svo_spill *spill; /* may be NULL */
@@ -67,12 +68,25 @@ typedef struct import_images {
 } import_images;
 void import_images_init(import_images *images, const import_context *c);
 void import_images_free(import_images *images);
-/* Decode and append. *index is its place. SVO_IO: there is no room for temporary files. mapped: as in fmt_bytes. */
-svo_result import_image_add(import_images *images, const import_context *c, const char *name, const uint8_t *bytes, uint64_t size, bool mapped,
-                            uint32_t *index, svo_error *err);
+/* An encoded image, and what became of it: SVO_IO where there is no room for temporary files. mapped: as in fmt_bytes. */
+typedef struct import_image_job {
+    const uint8_t *bytes;
+    uint64_t size;
+    bool mapped;
+    svo_image image; /* set where result is SVO_OK */
+    svo_result result;
+    svo_error why;
+} import_image_job;
+/* Decode them, several at a time. With a pager one after the other: what it keeps in memory depends on the order. */
+void import_images_decode(const import_context *c, import_image_job *jobs, uint64_t count);
+/* Append a decoded image, which is taken over, also on failure. *index is its place. */
+svo_result import_image_add(import_images *images, const import_context *c, const char *name, svo_image *image, uint32_t *index, svo_error *err);
 /* The image that a reference names, read once; SVO_NONE with a warning when it is missing or broken. Only want of memory and of room for
- * temporary files are errors. */
-svo_result import_image_find(import_images *images, const import_context *c, const char *reference, uint32_t *index, svo_error *err);
+ * temporary files are errors. alpha_only: SVO_NONE, too, where it has no alpha, if that can be told without decoding it. */
+svo_result import_image_find(import_images *images, const import_context *c, const char *reference, bool alpha_only, uint32_t *index, svo_error *err);
+/* Read what will be asked for in this way, all at a time. */
+typedef struct import_wish { const char *reference; bool alpha_only; } import_wish;
+svo_result import_images_read(import_images *images, const import_context *c, const import_wish *wishes, uint64_t count, svo_error *err);
 /* Move into the mesh. */
 svo_result import_images_finish(import_images *images, svo_mesh *mesh, svo_error *err);
 

@@ -73,7 +73,7 @@ static const char *option_numbers(const char *p, const char *end, double *v, int
     return p;
 }
 
-static const char *read_options(mtl_parser *t, const char *p, const char *end, map_options *o)
+static const char *read_options(const mtl_parser *t, const char *p, const char *end, map_options *o)
 {
     static const char *const words[] = {"-blendu", "-blendv", "-cc", "-type", "-imfchan", "-colorspace"}; /* one word follows */
     static const char *const ignored[] = {"-boost", "-mm", "-bm", "-texres", "-t"};                       /* numbers follow */
@@ -116,19 +116,45 @@ static const char *read_options(mtl_parser *t, const char *p, const char *end, m
     }
 }
 
-static svo_result read_map(mtl_parser *t, const char *p, const char *end, svo_texture *to, svo_error *err)
+/* What a map's line says. False where it names nothing. */
+static bool map_name(const mtl_parser *t, const char *p, const char *end, map_options *o, char name[IMPORT_PATH_MAX])
 {
-    map_options o;
-    p = read_options(t, p, end, &o);
+    p = read_options(t, p, end, o);
     while (end > p && import_space(end[-1])) end--;
     if (end - p >= 2 && *p == '"' && end[-1] == '"') p++, end--;
     size_t n = (size_t)(end - p);
-    char name[IMPORT_PATH_MAX];
-    if (n == 0 || n >= sizeof name || memchr(p, '\0', n) != NULL) return SVO_OK;
+    if (n == 0 || n >= IMPORT_PATH_MAX || memchr(p, '\0', n) != NULL) return false;
     memcpy(name, p, n);
     name[n] = '\0';
+    return true;
+}
+
+typedef enum map_kind { MAP_NONE, MAP_COLOR, MAP_EMISSIVE, MAP_OPACITY } map_kind;
+
+/* Is it the line of a map that is wanted? *p goes behind the word, and to the end where nobody reads the map. */
+static map_kind map_line(const mtl_parser *t, const char **p, const char *end)
+{
+    static const struct { const char *word; map_kind kind; } words[] = {{"map_Kd", MAP_COLOR}, {"map_Ke", MAP_EMISSIVE}, {"map_d", MAP_OPACITY}, {"map_opacity", MAP_OPACITY}};
+    for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
+        const char *q = import_word_nocase(*p, end, words[i].word);
+        if (q == NULL) continue;
+        *p = words[i].kind == MAP_EMISSIVE && (t->context->without & FMT_WITHOUT_EMISSIVE) != 0 ? end : q;
+        return words[i].kind;
+    }
+    return MAP_NONE;
+}
+
+/* Without colours, what cuts is all that matters. */
+static bool alpha_only(const mtl_parser *t, map_kind kind) { return kind == MAP_COLOR && (t->context->without & FMT_WITHOUT_COLOR) != 0; }
+
+static svo_result read_map(mtl_parser *t, map_kind kind, const char *p, const char *end, svo_error *err)
+{
+    map_options o;
+    char name[IMPORT_PATH_MAX];
     svo_texture texture = svo_texture_none();
-    SVO_TRY(import_image_find(&t->set->images, t->context, name, &texture.image, err));
+    svo_texture *to = kind == MAP_COLOR ? &t->m->base_color_texture : kind == MAP_EMISSIVE ? &t->m->emissive_texture : &t->m->opacity_texture;
+    if (!map_name(t, p, end, &o, name)) return SVO_OK;
+    SVO_TRY(import_image_find(&t->set->images, t->context, name, alpha_only(t, kind), &texture.image, err));
     if (texture.image == SVO_NONE) return SVO_OK;
     texture.wrap_u = texture.wrap_v = o.clamp ? SVO_WRAP_CLAMP : SVO_WRAP_REPEAT;
     /* MTL scales and shifts with v upwards: v' = s (1 - v) + o there is 1 - s + s v - o here. */
@@ -282,15 +308,50 @@ static svo_result read_term(mtl_parser *t, const char *p, const char *end, svo_e
         if (!t->has_pr && read_one(q, end, &v) && v >= 0) m->roughness = (float)pow(2 / (v + 2), 0.25);
         return SVO_OK;
     }
-    if ((q = import_word_nocase(p, end, "map_Kd")) != NULL) return read_map(t, q, end, &m->base_color_texture, err);
-    if ((q = import_word_nocase(p, end, "map_Ke")) != NULL) return read_map(t, q, end, &m->emissive_texture, err);
-    if ((q = import_word_nocase(p, end, "map_d")) != NULL || (q = import_word_nocase(p, end, "map_opacity")) != NULL)
-        return read_map(t, q, end, &m->opacity_texture, err);
+    const map_kind kind = map_line(t, &p, end);
+    if (kind != MAP_NONE) return read_map(t, kind, p, end, err);
     static const char *const ignored[] = {"map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Tr", "map_Bump", "bump", "disp", "decal", "refl", "norm"};
     for (size_t i = 0; i < sizeof ignored / sizeof *ignored; i++)
         if (import_word_nocase(p, end, ignored[i]) != NULL)
             svo_warn(t->context->warnings, "%s: '%s' textures are ignored", t->context->path, ignored[i]);
     return SVO_OK;
+}
+
+static const char *line_end(const char *p, const char *end)
+{
+    const char *stop = memchr(p, '\n', (size_t)(end - p));
+    return stop != NULL ? stop : end;
+}
+
+/* All images at a time, before the lines that name them are looked at one by one. */
+static svo_result read_images(const mtl_parser *of, const char *p, const char *end, svo_error *err)
+{
+    const svo_allocator *a = of->context->allocator;
+    import_context quiet = *of->context; /* options are told later */
+    quiet.warnings = NULL;
+    const mtl_parser t = {.set = of->set, .context = &quiet};
+    svo_buffer wishes;
+    svo_buffer_init(&wishes, a);
+    svo_result r = SVO_OK;
+    for (bool in_material = false; p < end && r == SVO_OK;) {
+        const char *stop = line_end(p, end), *q = import_skip_blank(p, stop);
+        in_material |= import_word_nocase(q, stop, "newmtl") != NULL;
+        const map_kind kind = in_material ? map_line(&t, &q, stop) : MAP_NONE;
+        map_options o;
+        char name[IMPORT_PATH_MAX];
+        if (kind != MAP_NONE && map_name(&t, q, stop, &o, name)) {
+            const import_wish wish = {svo_string_copy(a, name), alpha_only(&t, kind)};
+            if (wish.reference == NULL || svo_buffer_append(&wishes, &wish, sizeof wish) == NULL) r = import_no_memory(err);
+            if (r != SVO_OK && wish.reference != NULL) svo_string_free(a, (char *)(uintptr_t)wish.reference);
+        }
+        p = stop < end ? stop + 1 : end;
+    }
+    const import_wish *w = (const import_wish *)(const void *)wishes.data;
+    const uint64_t count = wishes.size / sizeof *w;
+    if (r == SVO_OK) r = import_images_read(&of->set->images, of->context, w, count, err);
+    for (uint64_t i = 0; i < count; i++) svo_string_free(a, (char *)(uintptr_t)w[i].reference);
+    svo_buffer_free(&wishes);
+    return r;
 }
 
 svo_result mtl_read(mtl_set *set, const import_context *c, const uint8_t *bytes, uint64_t size, svo_error *err)
@@ -299,9 +360,9 @@ svo_result mtl_read(mtl_set *set, const import_context *c, const uint8_t *bytes,
     mtl_parser t = {.set = set, .context = c};
     const char *p = (const char *)bytes, *end = p + size;
     if (size >= 3 && memcmp(p, "\xef\xbb\xbf", 3) == 0) p += 3;
+    if (c->pager == NULL) SVO_TRY(read_images(&t, p, end, err));
     while (p < end) {
-        const char *stop = memchr(p, '\n', (size_t)(end - p));
-        if (stop == NULL) stop = end;
+        const char *stop = line_end(p, end);
         const char *q = import_skip_blank(p, stop);
         if (q < stop && *q != '#') SVO_TRY(read_term(&t, q, stop, err));
         p = stop < end ? stop + 1 : end;

@@ -196,7 +196,7 @@ static svo_result make_materials(soup_builder *b, svo_mesh *mesh, svo_error *err
         svo_material *m = &mesh->materials[i];
         m->double_sided = true;
         m->name = svo_string_copy(b->c->allocator, name[i]);
-        r = m->name != NULL ? import_image_find(&images, b->c, name[i], &m->base_color_texture.image, err) : import_no_memory(err);
+        r = m->name == NULL ? import_no_memory(err) : b->c->without & FMT_WITHOUT_COLOR ? SVO_OK : import_image_find(&images, b->c, name[i], false, &m->base_color_texture.image, err);
     }
     if (r == SVO_OK) r = import_images_finish(&images, mesh, err);
     import_images_free(&images);

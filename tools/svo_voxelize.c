@@ -49,8 +49,16 @@ typedef struct tool_options {
     cli_axes axes;
 } tool_options;
 
+/* Textures that no channel reads. */
+static uint32_t unread(uint32_t channels)
+{
+    if (channels & SVO_WANT_AUTO) return 0; /* the materials say what there is */
+    return (channels & (SVO_WANT_COLOR | SVO_WANT_COVERAGE) ? 0 : FMT_WITHOUT_COLOR) | (channels & SVO_WANT_EMISSIVE ? 0 : FMT_WITHOUT_EMISSIVE) |
+           (channels & (SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS) ? 0 : FMT_WITHOUT_METALLIC_ROUGHNESS);
+}
+
 /* Import all inputs into one mesh; *inputs receives their names and content hashes. */
-static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *spill, svo_pager *pager, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
+static svo_result import_all(cli *c, uint32_t channels, const svo_allocator *a, const fmt_spill *spill, svo_pager *pager, svo_mesh *out, json_t *inputs, sources *read, svo_error *err)
 {
     uint32_t count = (uint32_t)c->input_count, done = 0;
     svo_mesh *meshes = calloc(count, sizeof *meshes);
@@ -58,7 +66,7 @@ static svo_result import_all(cli *c, const svo_allocator *a, const fmt_spill *sp
     svo_result r = SVO_OK;
     for (; r == SVO_OK && done < count; done++) {
         size_t first = read->count;
-        fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read,
+        fmt_import_options o = {.allocator = a, .threads = (uint32_t)c->threads, .without = unread(channels), .warnings = &c->warnings, .file_read = sources_add, .file_read_user = read,
                                 .spill = spill != NULL ? fmt_spill_files(spill) : NULL, .memory = c->memory, .pager = pager};
         r = fmt_import_mesh(c->inputs[done], &o, &meshes[done], err);
         if (r == SVO_OK && read->failed) {
@@ -360,8 +368,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     svo_result r = SVO_OK;
     if (j.spill != NULL) r = svo_pager_create(fmt_spill_files(j.spill), c->memory / 8 < MOST_PAGES ? c->memory / 8 : MOST_PAGES, c->memory / 4, &limit.base, &pager, err);
     cli_phase(c, "import");
-    /* Alpha MASK of a texture decides which voxels exist, so images matter even where no channel is wanted. */
-    if (r == SVO_OK) r = import_all(c, &limit.base, j.spill, pager, &mesh, inputs, &read, err);
+    if (r == SVO_OK) r = import_all(c, o->channels, &limit.base, j.spill, pager, &mesh, inputs, &read, err);
     if (r == SVO_OK) {
         cli_turn_mesh(&o->axes, &mesh);
         report_input(c, &mesh);

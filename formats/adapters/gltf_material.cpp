@@ -1,6 +1,8 @@
 /* glTF materials, textures and images. Only images that a used material looks into are decoded. */
 #include "gltf_document.hpp"
 
+#include "fmt_image.h"
+
 #include <cmath>
 #include <cstring>
 
@@ -12,41 +14,110 @@ struct builder {
     import_images images;
     std::vector<uint32_t> place; /* of each image of the file, in `images` */
     std::vector<bool> tried;
+    std::vector<bool> opaque; /* was wanted for its alpha alone, and has none */
+    std::vector<import_image_job> jobs;        /* images that were decoded together, */
+    std::vector<std::unique_ptr<gltf_bytes>> fetched; /* their bytes, where no buffer has them, */
+    std::vector<size_t> job_of;                /* and which they are: of each image of the file, SIZE_MAX: none */
 
-    explicit builder(gltf_document &doc) : d(doc), place(doc.images.size(), SVO_NONE), tried(doc.images.size(), false)
+    explicit builder(gltf_document &doc)
+        : d(doc), place(doc.images.size(), SVO_NONE), tried(doc.images.size(), false), opaque(doc.images.size(), false), job_of(doc.images.size(), SIZE_MAX)
     {
         import_images_init(&images, d.context);
     }
-    ~builder() { import_images_free(&images); }
+    ~builder()
+    {
+        for (import_image_job &j : jobs)
+            if (j.result == SVO_OK) fmt_image_free(d.context->allocator, &j.image);
+        import_images_free(&images);
+    }
     builder(const builder &) = delete;
     builder &operator=(const builder &) = delete;
 
-    uint32_t image(int index)
+    bool without(uint32_t what) const { return (d.context->without & what) != 0; }
+
+    /* The encoded bytes of an image; `keep` receives them where no buffer of the file has them. */
+    import_image_job encoded(size_t i, std::unique_ptr<gltf_bytes> *keep)
+    {
+        const gltf_image &from = d.images[i];
+        import_image_job j{};
+        j.result = SVO_INVALID_DATA; /* until it is decoded */
+        j.mapped = d.context->mapped;
+        if (from.buffer_view >= 0) {
+            j.bytes = gltf_view_bytes(d, from.buffer_view, &j.size, nullptr);
+        } else if (!from.uri.empty()) {
+            *keep = gltf_fetch(d, from.uri);
+            j.bytes = (*keep)->data;
+            j.size = (*keep)->size;
+            j.mapped = (*keep)->mapped.mapped;
+        } else {
+            svo_throw(SVO_INVALID_DATA, "it has neither uri nor bufferView");
+        }
+        return j;
+    }
+
+    /* Decode an image together with others, later. What cannot be had is told when it is asked for. */
+    void prepare(int index, bool alpha_only)
+    {
+        if (index < 0 || static_cast<size_t>(index) >= d.model.textures.size()) return;
+        const int source = d.model.textures[static_cast<size_t>(index)].source;
+        if (source < 0 || static_cast<size_t>(source) >= d.images.size() || job_of[static_cast<size_t>(source)] != SIZE_MAX) return;
+        svo_error why{};
+        svo_guard(&why, [&]() -> svo_result {
+            std::unique_ptr<gltf_bytes> keep;
+            const import_image_job j = encoded(static_cast<size_t>(source), &keep);
+            if (alpha_only && !fmt_image_can_have_alpha(j.bytes, j.size)) {
+                opaque[static_cast<size_t>(source)] = true;
+                return SVO_OK;
+            }
+            fetched.push_back(std::move(keep));
+            jobs.push_back(j);
+            job_of[static_cast<size_t>(source)] = jobs.size() - 1;
+            return SVO_OK;
+        });
+    }
+
+    void prepare(const tinygltf::Material &from)
+    {
+        const bool alpha_only = without(FMT_WITHOUT_COLOR);
+        if (!alpha_only || from.alphaMode == "MASK") {
+            prepare(from.pbrMetallicRoughness.baseColorTexture.index, alpha_only);
+            auto x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
+            if (x != from.extensions.end() && from.values.empty() && x->second.Has("diffuseTexture") && x->second.Get("diffuseTexture").Has("index"))
+                prepare(x->second.Get("diffuseTexture").Get("index").GetNumberAsInt(), alpha_only);
+        }
+        if (!without(FMT_WITHOUT_METALLIC_ROUGHNESS)) prepare(from.pbrMetallicRoughness.metallicRoughnessTexture.index, false);
+        if (!without(FMT_WITHOUT_EMISSIVE)) prepare(from.emissiveTexture.index, false);
+    }
+
+    void decode() { import_images_decode(d.context, jobs.data(), jobs.size()); }
+
+    uint32_t image(int index, bool alpha_only)
     {
         size_t i = static_cast<size_t>(index);
-        if (d.context->skip_images || tried[i]) return place[i];
-        tried[i] = true;
+        if (d.context->skip_images || tried[i] || (alpha_only && opaque[i])) return place[i];
         const gltf_image &from = d.images[i];
         svo_error why{};
         bool opened = false;
         svo_result r = svo_guard(&why, [&]() -> svo_result {
-            std::unique_ptr<gltf_bytes> fetched;
-            const uint8_t *bytes;
-            uint64_t size = 0;
-            bool mapped = d.context->mapped;
-            if (from.buffer_view >= 0) {
-                bytes = gltf_view_bytes(d, from.buffer_view, &size, nullptr);
-            } else if (!from.uri.empty()) {
-                fetched = gltf_fetch(d, from.uri);
-                bytes = fetched->data;
-                size = fetched->size;
-                mapped = fetched->mapped.mapped;
-            } else {
-                svo_throw(SVO_INVALID_DATA, "it has neither uri nor bufferView");
+            std::unique_ptr<gltf_bytes> keep;
+            import_image_job one{}, *j = job_of[i] != SIZE_MAX ? &jobs[job_of[i]] : &one;
+            if (j == &one) {
+                one = encoded(i, &keep);
+                opaque[i] = alpha_only && !fmt_image_can_have_alpha(one.bytes, one.size);
+                if (opaque[i]) return SVO_OK;
+                import_images_decode(d.context, &one, 1);
             }
             opened = true;
-            return import_image_add(&images, d.context, from.name.c_str(), bytes, size, mapped, &place[i], &why);
+            tried[i] = true;
+            if (j->result != SVO_OK) {
+                why = j->why;
+                return j->result;
+            }
+            j->result = SVO_INVALID_DATA; /* the image has another owner from here on */
+            return import_image_add(&images, d.context, from.name.c_str(), &j->image, &place[i], &why);
         });
+        if (alpha_only && opaque[i]) return SVO_NONE;
+        tried[i] = true;
         if (r == SVO_OUT_OF_MEMORY) svo_throw(r, "%s: texture %zu (%.60s): %s", d.path(), i, from.name.c_str(), why.message);
         if (r == SVO_IO && opened) svo_throw(r, "%s", why.message); /* of temporary files */
         if (r != SVO_OK) {
@@ -56,7 +127,7 @@ struct builder {
         return place[i];
     }
 
-    svo_texture texture(int index, int uv_set, const tinygltf::ExtensionMap &extensions)
+    svo_texture texture(int index, int uv_set, const tinygltf::ExtensionMap &extensions, bool alpha_only)
     {
         svo_texture t = svo_texture_none();
         if (index < 0) return t;
@@ -78,7 +149,7 @@ struct builder {
             svo_warn(d.warnings(), "%s: texture %d could not be used (%s); the material's colour is used alone", d.path(), index, why);
             return svo_texture_none();
         }
-        t.image = image(from.source);
+        t.image = image(from.source, alpha_only);
         if (t.image == SVO_NONE) return svo_texture_none();
         if (from.sampler >= 0) {
             const tinygltf::Sampler &s = d.model.samplers.at(static_cast<size_t>(from.sampler));
@@ -113,6 +184,9 @@ struct builder {
         std::memcpy(out, m, sizeof m);
     }
 
+    /* Without colours, only what cuts a surface out is read. */
+    bool reads_base(const svo_material &m) const { return !without(FMT_WITHOUT_COLOR) || m.alpha_mode == SVO_ALPHA_MASK; }
+
     /* The old workflow: its diffuse colour stands for the base colour, which is right for everything but metals. */
     void specular_glossiness(const tinygltf::Value &x, svo_material *m)
     {
@@ -120,13 +194,13 @@ struct builder {
         if (x.Has("diffuseFactor"))
             for (int k = 0; k < 4; k++) m->base_color[k] = static_cast<float>(x.Get("diffuseFactor").Get(k).GetNumberAsDouble());
         m->roughness = 1 - static_cast<float>(x.Has("glossinessFactor") ? x.Get("glossinessFactor").GetNumberAsDouble() : 1);
-        if (!x.Has("diffuseTexture")) return;
+        if (!x.Has("diffuseTexture") || !reads_base(*m)) return;
         const tinygltf::Value &t = x.Get("diffuseTexture");
         tinygltf::ExtensionMap extensions;
         if (t.Has("extensions") && t.Get("extensions").Has("KHR_texture_transform"))
             extensions["KHR_texture_transform"] = t.Get("extensions").Get("KHR_texture_transform");
         m->base_color_texture =
-            texture(t.Get("index").GetNumberAsInt(), t.Has("texCoord") ? t.Get("texCoord").GetNumberAsInt() : 0, extensions);
+            texture(t.Get("index").GetNumberAsInt(), t.Has("texCoord") ? t.Get("texCoord").GetNumberAsInt() : 0, extensions, without(FMT_WITHOUT_COLOR));
     }
 
     void material(const tinygltf::Material &from, bool used, svo_material *m)
@@ -143,10 +217,12 @@ struct builder {
         m->alpha_cutoff = static_cast<float>(from.alphaCutoff);
         m->double_sided = from.doubleSided;
         if (!used) return;
-        m->base_color_texture = texture(pbr.baseColorTexture.index, pbr.baseColorTexture.texCoord, pbr.baseColorTexture.extensions);
-        m->metallic_roughness_texture =
-            texture(pbr.metallicRoughnessTexture.index, pbr.metallicRoughnessTexture.texCoord, pbr.metallicRoughnessTexture.extensions);
-        m->emissive_texture = texture(from.emissiveTexture.index, from.emissiveTexture.texCoord, from.emissiveTexture.extensions);
+        if (reads_base(*m))
+            m->base_color_texture = texture(pbr.baseColorTexture.index, pbr.baseColorTexture.texCoord, pbr.baseColorTexture.extensions, without(FMT_WITHOUT_COLOR));
+        if (!without(FMT_WITHOUT_METALLIC_ROUGHNESS))
+            m->metallic_roughness_texture =
+                texture(pbr.metallicRoughnessTexture.index, pbr.metallicRoughnessTexture.texCoord, pbr.metallicRoughnessTexture.extensions, false);
+        if (!without(FMT_WITHOUT_EMISSIVE)) m->emissive_texture = texture(from.emissiveTexture.index, from.emissiveTexture.texCoord, from.emissiveTexture.extensions, false);
         x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
         if (x != from.extensions.end() && from.values.empty()) specular_glossiness(x->second, m);
     }
@@ -158,6 +234,11 @@ void gltf_build_materials(gltf_document &d, const std::vector<bool> &used, svo_m
 {
     size_t n = d.model.materials.size();
     builder b(d);
+    if (!d.context->skip_images && d.context->pager == nullptr) {
+        for (size_t i = 0; i < n; i++)
+            if (used[i]) b.prepare(d.model.materials[i]);
+        b.decode();
+    }
     if (n != 0) {
         mesh->materials = gltf_array<svo_material>(d, n);
         for (size_t i = 0; i < n; i++) mesh->materials[i] = svo_material_default();

@@ -62,20 +62,22 @@ static inline const char *import_put(const char *name, const void *bytes, size_t
 }
 static inline const char *import_put_text(const char *name, const char *text) { return import_put(name, text, strlen(text)); }
 
-/* A PNG of w x h RGBA pixels. */
-static inline bool import_put_png(const char *name, const uint8_t *rgba, uint32_t w, uint32_t h)
+/* A PNG of w x h pixels of 3 or 4 channels. */
+static inline bool import_put_pixels(const char *name, const uint8_t *pixels, uint32_t channels, uint32_t w, uint32_t h)
 {
     char path[4096];
     svo_error err = {0};
     fmt_output *o;
     snprintf(path, sizeof path, "%s/%s", test_folder(), name);
     if (fmt_output_open(path, true, &o, &err) != SVO_OK) return false;
-    if (fmt_png_write(o, rgba, w, h, 4, &err) != SVO_OK) {
+    if (fmt_png_write(o, pixels, w, h, channels, &err) != SVO_OK) {
         fmt_output_discard(o);
         return false;
     }
     return fmt_output_commit(o, &err) == SVO_OK;
 }
+
+static inline bool import_put_png(const char *name, const uint8_t *rgba, uint32_t w, uint32_t h) { return import_put_pixels(name, rgba, 4, w, h); }
 
 /* The texel that vertex v of a part sees through its material's base colour texture (nearest, wrap applied), as the
  * consumers of svo_mesh.h must compute it. */

@@ -251,6 +251,8 @@ TEST(png_of_every_kind_decodes_to_the_definition)
                     }
                 }
                 CHECK(image.has_alpha == alpha);
+                CHECK(fmt_image_can_have_alpha(file.data, file.size) == (r.transparent || (r.color_type & PNG_COLOR_MASK_ALPHA) != 0));
+                for (uint64_t n = 0; n < file.size; n++) CHECK(fmt_image_can_have_alpha(file.data, n) || (!alpha && n > 33));
                 fmt_image_free(NULL, &image);
                 svo_buffer_free(&file);
                 made++;
@@ -299,6 +301,7 @@ TEST(jpeg_baseline_progressive_and_grey)
         svo_image image = {0};
         svo_error err = {0};
         CHECK_OK(fmt_image_decode(file.data, file.size, 0, NULL, &image, &err));
+        CHECK(!fmt_image_can_have_alpha(file.data, file.size));
         CHECK(!image.has_alpha && image.width == SMOOTH && image.height == SMOOTH);
         for (uint32_t y = 0; y < SMOOTH; y++) {
             for (uint32_t x = 0; x < SMOOTH; x++) {

@@ -11,15 +11,17 @@ static const uint8_t *const red = image, *const green = image + 4, *const blue =
 
 static svo_warnings warnings;
 
-static bool load(const char *path, svo_mesh *mesh)
+static bool load_without(const char *path, uint32_t without, svo_mesh *mesh)
 {
     svo_error err = {0};
     memset(&warnings, 0, sizeof warnings);
-    fmt_import_options o = {.warnings = &warnings};
+    fmt_import_options o = {.warnings = &warnings, .without = without};
     svo_result r = path != NULL ? fmt_import_mesh(path, &o, mesh, &err) : SVO_IO;
     if (r != SVO_OK) test_fail(__FILE__, __LINE__, "import: %s", err.message);
     return r == SVO_OK;
 }
+
+static bool load(const char *path, svo_mesh *mesh) { return load_without(path, 0, mesh); }
 
 /* The vertex of the first part at (x, y), and what it sees. */
 static bool sees(const svo_mesh *m, double x, double y, const uint8_t *expected)
@@ -101,6 +103,36 @@ TEST(obj_alpha)
     CHECK(m.materials[1].alpha_mode == SVO_ALPHA_MASK && m.materials[1].opacity_texture.image != SVO_NONE);
     CHECK(m.materials[2].alpha_mode == SVO_ALPHA_BLEND && m.materials[2].base_color[3] == 0.25f);
     CHECK(m.materials[3].base_color[3] == 0.75f);
+    svo_mesh_free(&m);
+}
+
+/* Textures that nobody reads are not opened: a missing one is not told. What cuts is read for its alpha, in every order of asking. */
+TEST(textures_that_nobody_reads)
+{
+    const uint8_t cut[16] = {255, 0, 0, 255, 0, 255, 0, 0, 0, 0, 255, 255, 255, 255, 255, 255};
+    const uint32_t all = FMT_WITHOUT_COLOR | FMT_WITHOUT_EMISSIVE | FMT_WITHOUT_METALLIC_ROUGHNESS;
+    svo_mesh m;
+    CHECK(import_put_png("cut.png", cut, 2, 2));
+    CHECK(import_put_pixels("opaque.png", image, 3, 2, 2));
+    CHECK(import_put_text("lazy.mtl", "newmtl a\nmap_Kd cut.png\nmap_Ke missing.png\nnewmtl b\nmap_Kd opaque.png\nnewmtl c\nmap_Kd cut.png\nmap_d opaque.png\nnewmtl d\nmap_Kd gone.png\nnewmtl e\nmap_Kd opaque.png\n") != NULL);
+    const char *path = import_put_text("lazy.obj", "mtllib lazy.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\nusemtl b\nf 1/1 2/1 3/1\nusemtl c\nf 1/1 2/1 3/1\nusemtl d\nf 1/1 2/1 3/1\nusemtl e\nf 1/1 2/1 3/1\n");
+    for (uint32_t without = 0; without <= all; without++) {
+        if (!load_without(path, without, &m)) return;
+        CHECK(import_mesh_fault(&m) == NULL);
+        CHECK_U64(m.material_count, 5);
+        const bool color = (without & FMT_WITHOUT_COLOR) == 0;
+        const svo_material *x = m.materials;
+        CHECK(x[0].alpha_mode == SVO_ALPHA_MASK && x[0].base_color_texture.image != SVO_NONE);
+        CHECK(x[2].alpha_mode == SVO_ALPHA_MASK && x[2].opacity_texture.image != SVO_NONE && x[2].base_color_texture.image == x[0].base_color_texture.image);
+        CHECK(x[1].alpha_mode == SVO_ALPHA_OPAQUE && x[3].alpha_mode == SVO_ALPHA_OPAQUE && x[4].alpha_mode == SVO_ALPHA_OPAQUE);
+        if (color) CHECK(x[1].base_color_texture.image == x[2].opacity_texture.image && x[4].base_color_texture.image == x[1].base_color_texture.image);
+        CHECK_U64(m.image_count, 2); /* opaque.png is map_d of c */
+        CHECK_U64(warnings.count, 1 + ((without & FMT_WITHOUT_EMISSIVE) == 0)); /* gone.png might have cut */
+        svo_mesh_free(&m);
+    }
+    if (!load_without(import_put_text("t.ply", "ply\nformat ascii 1.0\ncomment TextureFile missing.png\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+                                               "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n1 1 0\n3 0 1 2\n"), all, &m)) return;
+    CHECK_U64(warnings.count, 0);
     svo_mesh_free(&m);
 }
 
@@ -219,6 +251,39 @@ TEST(gltf_texture_transform_and_wrap)
     if (!load_gltf("\"texCoord\":1,\"extensions\":{\"KHR_texture_transform\":{\"rotation\":1.5707963267948966}}", "", "{\"mesh\":0}", &m)) return;
     CHECK(sees(&m, 0, 0, white) && sees(&m, 1, 0, green) && sees(&m, 1, 1, red) && sees(&m, 0, 1, blue));
     svo_mesh_free(&m);
+}
+
+/* The same of a glTF file: the first material is cut out by an image with alpha, the second (MASK too) has one without, the third is opaque, the fourth reads one for its emission. */
+TEST(gltf_textures_that_nobody_reads)
+{
+    const uint8_t cut[16] = {255, 0, 0, 255, 0, 255, 0, 0, 0, 0, 255, 255, 255, 255, 255, 255};
+    const float data[18] = {0, 0, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 0, 1, 1};
+    char primitives[1024] = "", text[4096];
+    CHECK(import_put_png("cut.png", cut, 2, 2) && import_put_pixels("plain.png", image, 3, 2, 2) && import_put("lazy.bin", data, sizeof data) != NULL);
+    for (int i = 0; i < 5; i++)
+        snprintf(primitives + strlen(primitives), sizeof primitives - strlen(primitives), "%s{\"attributes\":{\"POSITION\":0,\"TEXCOORD_0\":1},\"material\":%d}", i > 0 ? "," : "", i);
+    snprintf(text, sizeof text,
+             "{\"asset\":{\"version\":\"2.0\"},\"scene\":0,\"scenes\":[{\"nodes\":[0]}],\"nodes\":[{\"mesh\":0}],\"meshes\":[{\"primitives\":[%s]}],"
+             "\"materials\":[{\"alphaMode\":\"MASK\",\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":0}}},{\"alphaMode\":\"MASK\",\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":1}}},"
+             "{\"pbrMetallicRoughness\":{\"baseColorTexture\":{\"index\":2}}},{\"emissiveTexture\":{\"index\":1}},{\"pbrMetallicRoughness\":{\"metallicRoughnessTexture\":{\"index\":2}}}],"
+             "\"textures\":[{\"source\":0},{\"source\":1},{\"source\":2}],\"images\":[{\"uri\":\"cut.png\"},{\"uri\":\"plain.png\"},{\"uri\":\"missing.png\"}],"
+             "\"accessors\":[{\"bufferView\":0,\"componentType\":5126,\"count\":3,\"type\":\"VEC3\"},{\"bufferView\":1,\"componentType\":5126,\"count\":3,\"type\":\"VEC2\"}],"
+             "\"bufferViews\":[{\"buffer\":0,\"byteLength\":36},{\"buffer\":0,\"byteOffset\":36,\"byteLength\":24}],\"buffers\":[{\"byteLength\":72,\"uri\":\"lazy.bin\"}]}", primitives);
+    const char *path = import_put_text("lazy.gltf", text);
+    for (uint32_t without = 0; without <= 7; without++) {
+        svo_mesh m;
+        if (!load_without(path, without, &m)) return;
+        const bool color = (without & FMT_WITHOUT_COLOR) == 0, emissive = (without & FMT_WITHOUT_EMISSIVE) == 0, metallic = (without & FMT_WITHOUT_METALLIC_ROUGHNESS) == 0;
+        const svo_material *x = m.materials;
+        CHECK(import_mesh_fault(&m) == NULL);
+        CHECK(x[0].alpha_mode == SVO_ALPHA_MASK && x[0].base_color_texture.image != SVO_NONE && m.images[x[0].base_color_texture.image].has_alpha);
+        CHECK((x[1].base_color_texture.image != SVO_NONE) == color);
+        CHECK((x[3].emissive_texture.image != SVO_NONE) == emissive);
+        CHECK(x[1].alpha_mode == SVO_ALPHA_MASK && x[2].base_color_texture.image == SVO_NONE && x[4].metallic_roughness_texture.image == SVO_NONE);
+        CHECK_U64(m.image_count, 1 + (color || emissive));
+        CHECK_U64(warnings.count, color || metallic);
+        svo_mesh_free(&m);
+    }
 }
 
 TEST(gltf_nodes)
