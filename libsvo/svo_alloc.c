@@ -46,7 +46,7 @@ static void *limit_alloc(void *user, size_t size, size_t align)
     uint64_t n = __atomic_add_fetch(&a->count, 1, __ATOMIC_RELAXED);
     if (a->fail_at != 0 && n >= a->fail_at) return NULL;
     uint64_t now = __atomic_add_fetch(&a->in_use, size, __ATOMIC_RELAXED);
-    if (now > a->limit || now < size) {
+    if (now > __atomic_load_n(&a->limit, __ATOMIC_RELAXED) || now < size) {
         __atomic_sub_fetch(&a->in_use, size, __ATOMIC_RELAXED);
         return NULL;
     }

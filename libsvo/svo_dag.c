@@ -21,6 +21,8 @@ typedef struct blob {
     svoi_labels labels[SVO_MAX_CHANNELS];
 } blob;
 
+enum { LITTLE = 64 << 20 }; /* bytes: where values take less than a quarter of the memory */
+
 /* A node above the chunks whose children are still coming. */
 typedef struct frame {
     uint32_t mask, full, refs[8];
@@ -60,7 +62,7 @@ svo_result svoi_no_memory(const svo_packed *p, const char *what, svo_error *err)
 {
     if (p->memory.limit != UINT64_MAX)
         return svo_fail(err, SVO_LIMIT, "more memory than the limit of %llu bytes is needed (%s)",
-                        (unsigned long long)p->memory.limit, what);
+                        (unsigned long long)p->limit, what);
     return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (%s)", what);
 }
 
@@ -97,6 +99,7 @@ svo_result svo_dag_builder_create(const svo_tree_info *info, const svo_dag_optio
         svo_free(o.allocator, p, 1, sizeof *p);
         return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
     }
+    p->limit = o.memory;
     svo_limit_allocator_init(&p->memory, o.memory != 0 ? o.memory : UINT64_MAX, o.allocator);
     b->info = *info;
     b->options = o;
@@ -106,7 +109,7 @@ svo_result svo_dag_builder_create(const svo_tree_info *info, const svo_dag_optio
     b->tree_depth = info->depth < 2 ? 2 : info->depth;
     b->brick_level = b->tree_depth - 2;
     b->store.spill = o.spill;
-    b->store.budget = o.value_memory != 0 ? o.value_memory : o.memory != 0 ? o.memory / 4 : (uint64_t)256 << 20;
+    b->store.budget = o.value_memory != 0 ? o.value_memory : o.memory != 0 ? o.memory / (o.memory < LITTLE ? 8 : 4) : (uint64_t)256 << 20;
     b->bricks.a = b->a;
     for (uint32_t i = 0; i < SVO_MAX_DEPTH; i++) b->nodes[i].a = b->a;
     for (uint32_t i = 0; i < info->channel_count; i++) {
@@ -439,6 +442,8 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
     if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "geometry");
     double read = svo_seconds();
     report->seconds_read = read - b->started;
+    if (b->options.memory != 0 && svo_limit_in_use(&p->memory) > b->options.memory / 2) /* what follows needs it more than values that are read in order */
+        for (uint32_t i = 0; i < b->info.channel_count; i++) SVO_TRY(svoi_values_spill(&b->values[i], err));
     if (b->has_previous) SVO_TRY(lay_out(b, err));
     if (b->options.phase != NULL) b->options.phase(b->options.phase_user, "attributes");
     double geometry = svo_seconds();
@@ -446,6 +451,7 @@ static svo_result finish(svo_dag_builder *b, svo_dag_report *report, svo_error *
     svo_view_section parts[SVO_VIEW_SECTIONS];
     uint32_t part_count = svo_view_sections(&p->view, parts);
     for (uint32_t i = 0; i < part_count; i++) report->geometry_bytes += parts[i].bytes;
+    svoi_allow_output(p, report->geometry_bytes);
     for (uint32_t i = 0; i < b->info.channel_count; i++) {
         memcpy(report->channels[i].name, b->info.channels[i].name, sizeof report->channels[i].name);
         SVO_TRY(svoi_pack_channel(p, i, &b->values[i], &b->options, &report->channels[i], err));
@@ -552,7 +558,8 @@ svo_result svo_dag_build(const svo_tree_info *info, const svo_chunk_source *sour
 {
     build u = {.source = source};
     SVO_TRY(svo_dag_builder_create(info, options, &u.b, err));
-    svo_pipeline p = {.threads = u.b->options.threads, .item_size = sizeof(item), .user = &u, .produce = build_produce,
+    const uint32_t window = options != NULL && options->memory != 0 && options->memory < LITTLE ? 2 : 0; /* each chunk that waits is memory */
+    svo_pipeline p = {.threads = u.b->options.threads, .window = window, .item_size = sizeof(item), .user = &u, .produce = build_produce,
                       .work = build_work, .commit = build_commit, .destroy = build_destroy};
     svo_result r = svo_pipeline_run(&p, err);
     if (r != SVO_OK) {

@@ -33,8 +33,8 @@ typedef struct svo_dag_options {
     double normal_degrees; /* > 0: largest angle of any attribute; normal_bits must be 0 */
     bool algorithm1;       /* palettes of Algorithm 1 (svo_algorithm1.h) instead of blocks, to compare with; not with a bound */
     uint32_t threads;      /* 0 = all */
-    uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT */
-    /* Where attribute values wait that are more than `value_memory` bytes (0: a quarter of `memory`, or 256 MiB without a limit); NULL: they wait in
+    uint64_t memory;       /* 0 = no limit; more is SVO_LIMIT. Grows by 1.5 times the bytes of the result, which it does not mean */
+    /* Where attribute values wait that are more than `value_memory` bytes (0: a quarter of `memory`, an eighth below 64 MiB, or 256 MiB without a limit); NULL: they wait in
      * memory. The result does not depend on it. Errors: those of the spill. */
     const svo_spill *spill;
     uint64_t value_memory;

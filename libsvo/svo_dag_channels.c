@@ -27,6 +27,13 @@ static svo_result spill_page(svoi_values *v, uint64_t page, svo_error *err)
     return SVO_OK;
 }
 
+svo_result svoi_values_spill(svoi_values *v, svo_error *err)
+{
+    if (v->store == NULL || v->store->spill == NULL) return SVO_OK;
+    for (uint64_t i = 0; i < v->page_count; i++) SVO_TRY(spill_page(v, i, err));
+    return SVO_OK;
+}
+
 static svo_result add_page(svoi_values *v, svo_error *err)
 {
     if (v->page_count == v->page_capacity) {
@@ -42,7 +49,7 @@ static svo_result add_page(svoi_values *v, svo_error *err)
     if (can_spill && v->page_count != 0 && v->store->resident + page_bytes(v) > v->store->budget) SVO_TRY(spill_page(v, v->page_count - 1, err));
     uint8_t *page = svo_alloc(v->a, SVOI_PAGE, v->stride);
     if (page == NULL && can_spill) { /* others need memory as well: give all of it back */
-        for (uint64_t i = 0; i < v->page_count; i++) SVO_TRY(spill_page(v, i, err));
+        SVO_TRY(svoi_values_spill(v, err));
         page = svo_alloc(v->a, SVOI_PAGE, v->stride);
     }
     if (page == NULL) return SVO_OUT_OF_MEMORY;
@@ -171,6 +178,7 @@ bool svoi_distinct_add(svoi_distinct *d, uint32_t value, uint64_t times)
 
 uint32_t svoi_distinct_index(const svoi_distinct *d, uint32_t value)
 {
+    if (d->bit != NULL) return d->before[value / 64] + (uint32_t)__builtin_popcountll(d->bit[value / 64] & (((uint64_t)1 << value % 64) - 1));
     uint64_t i = slot_of(value, d->slot_count);
     while (d->slots[i] >> 32 != value || d->slots[i] == 0) i = (i + 1) & (d->slot_count - 1);
     return (uint32_t)d->slots[i] - 1;
@@ -205,8 +213,18 @@ void svoi_distinct_free(svoi_distinct *d)
 {
     svo_free(d->a, d->value, d->capacity, sizeof *d->value);
     svo_free(d->a, d->times, d->capacity, sizeof *d->times);
-    svo_free(d->a, d->slots, d->slot_count, sizeof *d->slots);
+    svoi_distinct_seal(d);
     *d = (svoi_distinct){.a = d->a};
+}
+
+void svoi_distinct_seal(svoi_distinct *d)
+{
+    svo_free(d->a, d->slots, d->slot_count, sizeof *d->slots);
+    svo_free(d->a, d->bit, SVOI_COLORS / 64, sizeof *d->bit);
+    svo_free(d->a, d->before, SVOI_COLORS / 64, sizeof *d->before);
+    d->slots = d->bit = NULL;
+    d->before = NULL;
+    d->slot_count = 0;
 }
 
 /* Each worker gathers the distinct values of the pages it gets; the union of these sets is the same for any split. */
@@ -293,6 +311,10 @@ static svo_result gather_all(gather *g, uint32_t threads, svoi_distinct *out, sv
 
 svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, uint64_t most, svoi_distinct *out, bool *many, svo_error *err)
 {
+    if (values->stride == 3) {
+        *many = false;
+        return svoi_colors_distinct(values, threads, out, err);
+    }
     svoi_values same = *values; /* only read */
     gather g = {.values = &same, .most = most};
     svo_result r = gather_all(&g, threads, out, err);

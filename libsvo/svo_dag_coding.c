@@ -12,7 +12,7 @@
 /* A table entry costs its bytes once and widens every index; a value this rare is better held by a lattice. */
 enum { RARE = 4, SMALL_TABLE = 4096 };
 /* Beyond this many different values none are listed (but colours, of which there are at most 2^24): the list would outgrow what it describes. */
-enum { LISTED = (1 << 17) - 1, TABLE_BITS = 12 };
+enum { LISTED = (1 << 17) - 1, TABLE_BITS = 12, GOAL_TABLE = 1 << 14 };
 
 typedef struct source {
     const svoi_values *values;
@@ -61,6 +61,7 @@ static svo_result pack_raw(svo_packed *p, uint32_t channel, svoi_values *values,
 {
     svo_buffer *raw = &p->raw[channel];
     uint32_t stride = values->stride;
+    svoi_allow_output(p, values->count * stride);
     if (!svo_buffer_reserve(raw, (size_t)values->count * stride)) return svoi_no_memory(p, "attributes", err);
     for (uint64_t page = 0; page < values->page_count; page++) {
         uint64_t left = values->count - (page << SVOI_PAGE_BITS), n = left < SVOI_PAGE ? left : SVOI_PAGE;
@@ -96,18 +97,26 @@ static svo_result make_table(const svo_packed *p, bool all, const uint32_t *mapp
                              uint64_t *table_count, uint64_t *kept_values, svo_error *err)
 {
     svoi_distinct kept = {.a = &p->memory.base};
-    bool ok = true;
-    for (uint64_t i = 0; i < count && ok; i++) ok = svoi_distinct_add(&kept, mapped[i], times[i]);
-    entry *e = ok ? svo_alloc(kept.a, kept.count, sizeof *e) : NULL;
+    bool ok = true, different = true;
+    for (uint64_t i = 1; i < count && different; i++) different = mapped[i - 1] < mapped[i]; /* nothing was mapped to the same */
+    for (uint64_t i = 0; i < count && ok && !different; i++) ok = svoi_distinct_add(&kept, mapped[i], times[i]);
+    const uint64_t n = different ? count : kept.count;
+    const uint32_t *value = different ? mapped : kept.value;
+    const uint64_t *how_often = different ? times : kept.times;
+    uint64_t room = all ? n : 0, taken = 0;
+    for (uint64_t i = 0; i < n && !all && n > SMALL_TABLE; i++) room += how_often[i] >= RARE;
+    if (!all && room < SMALL_TABLE) room = n; /* some rare ones are taken as well */
+    entry *e = ok ? svo_alloc(kept.a, room, sizeof *e) : NULL;
     if (e != NULL) {
-        for (uint64_t i = 0; i < kept.count; i++) e[i] = (entry){kept.times[i], kept.value[i]};
-        qsort(e, (size_t)kept.count, sizeof *e, most_frequent_first);
-        uint64_t n = 0;
-        while (n < kept.count && (all || n < SMALL_TABLE || e[n].times >= RARE)) table[n] = e[n].value, n++;
-        *table_count = n;
-        *kept_values = kept.count;
+        for (uint64_t i = 0; i < n; i++)
+            if (room == n || how_often[i] >= RARE) e[taken++] = (entry){how_often[i], value[i]};
+        qsort(e, (size_t)taken, sizeof *e, most_frequent_first);
+        uint64_t k = 0;
+        while (k < taken && (all || k < SMALL_TABLE || e[k].times >= RARE)) table[k] = e[k].value, k++;
+        *table_count = k;
+        *kept_values = n;
     }
-    svo_free(kept.a, e, kept.count, sizeof *e);
+    svo_free(kept.a, e, room, sizeof *e);
     svoi_distinct_free(&kept);
     return e != NULL ? SVO_OK : svoi_no_memory(p, "quantisation", err);
 }
@@ -120,18 +129,20 @@ typedef struct packing {
     svoi_values *values;
     svoi_distinct distinct;
     uint32_t *mapped, *table;
-    uint64_t room; /* of both */
+    uint64_t room, table_room;
     bool algorithm1;
     const svo_dag_options *options;
     svo_dag_channel_report *report;
 } packing;
 
-static svo_result take_room(packing *k, uint64_t count, svo_error *err)
+/* For so many values, and a table of no more than `most` entries. */
+static svo_result take_room(packing *k, uint64_t count, uint64_t most, svo_error *err)
 {
     const svo_allocator *a = &k->p->memory.base;
     k->room = count;
+    k->table_room = count < most ? count : most;
     k->mapped = svo_alloc(a, count, sizeof *k->mapped);
-    k->table = svo_alloc(a, count, sizeof *k->table);
+    k->table = svo_alloc(a, k->table_room, sizeof *k->table);
     return k->mapped != NULL && k->table != NULL ? SVO_OK : svoi_no_memory(k->p, "attributes", err);
 }
 
@@ -146,7 +157,7 @@ static svo_result encode(packing *k, source *s, uint64_t table_count, svo_palett
                            .allocator = &p->memory.base};
     svo_error read = {0};
     s->err = &read;
-    svo_result r = k->algorithm1 ? svo_algorithm1_encode(&job, directory, payload, err) : svo_palette_encode(&job, directory, payload, stats, err);
+    svo_result r = k->algorithm1 ? svo_algorithm1_encode(&job, directory, payload, err) : svoi_palette_encode(&job, &p->memory, directory, payload, stats, err);
     if (s->failed) return svo_fail(err, read.code, "%s", read.message);
     svoi_used used = {0};
     const uint64_t payload_before = payload->size;
@@ -208,6 +219,15 @@ static void forget_blocks(packing *k)
     k->report->unused_entries = k->report->unused_bytes = k->report->repeated_superblocks = k->report->repeated_bytes = 0;
 }
 
+/* The table says all that is needed of the values. */
+static void forget_list(packing *k)
+{
+    const svo_allocator *a = &k->p->memory.base;
+    svoi_distinct_free(&k->distinct);
+    svo_free(a, k->mapped, k->room, sizeof *k->mapped);
+    k->mapped = NULL;
+}
+
 /* Values are mapped one by one, by a number of bits or not at all, and then stored exactly. */
 static svo_result pack_exactly(packing *k, svo_error *err)
 {
@@ -215,7 +235,10 @@ static svo_result pack_exactly(packing *k, svo_error *err)
     svo_channel_kind kind = k->p->view.channels[k->channel].channel.kind;
     k->algorithm1 = k->options->algorithm1;
     svo_quantize_result q = {0};
+    const bool colors = kind == SVO_KIND_COLOR_SRGB8;
+    if (colors) svoi_distinct_seal(&k->distinct);
     svo_result r = svo_quantize(kind, d->value, d->times, d->count, k->options, &k->p->memory.base, k->mapped, &q, err);
+    if (r == SVO_OK && colors && q.lossy && !svoi_colors_reopen(&k->distinct)) r = SVO_OUT_OF_MEMORY;
     if (r == SVO_OUT_OF_MEMORY) return svoi_no_memory(k->p, "quantisation", err);
     if (r != SVO_OK) return r;
     k->report->error_mean = q.error_mean;
@@ -228,6 +251,7 @@ static svo_result pack_exactly(packing *k, svo_error *err)
         return SVO_OK;
     }
     source s = {k->values, d, q.lossy ? k->mapped : NULL, NULL, false};
+    if (!q.lossy) forget_list(k);
     SVO_TRY(encode(k, &s, table_count, (svo_palette_goal){0}, NULL, err));
     if (q.lossy) SVO_TRY(correct(k, 0, err));
     uint64_t raw = k->values->count * k->values->stride;
@@ -320,8 +344,10 @@ static svo_result pack_within(packing *k, svo_palette_goal goal, double aim, svo
     enum { ROUNDS = 3 };
     uint64_t table_count = 0;
     svo_palette_stats stats;
+    svoi_distinct_seal(&k->distinct);
     if (aim > 0) SVO_TRY(find_price(k, &goal, aim, &table_count, err));
     else SVO_TRY(make_goal_table(k, goal, &table_count, err));
+    forget_list(k);
     for (int round = 0;; round++) {
         source s = {k->values, NULL, NULL, NULL, false};
         SVO_TRY(encode(k, &s, table_count, goal, &stats, err));
@@ -339,7 +365,7 @@ static svo_result pack_listed(packing *k, bool many, svo_error *err)
     const svoi_distinct *d = &k->distinct;
     uint32_t first = svoi_load_value(k->values->first, k->values->stride);
     uint64_t table_count = 1, kept = d->count, raw = k->values->count * k->values->stride;
-    SVO_TRY(take_room(k, many ? 1 : d->count, err));
+    SVO_TRY(take_room(k, many ? 1 : d->count, UINT64_MAX, err));
     k->table[0] = first;
     if (!many) SVO_TRY(make_table(k->p, false, d->value, d->times, d->count, k->table, &table_count, &kept, err));
     k->report->distinct_out = many ? 0 : kept;
@@ -370,7 +396,7 @@ static svo_result pack_many(packing *k, svo_palette_goal goal, svo_error *err)
     }
     if (!within) return pack_listed(k, m.many, err);
     uint64_t table_count = 0, kept = 0;
-    SVO_TRY(take_room(k, k->distinct.count, err));
+    SVO_TRY(take_room(k, k->distinct.count, UINT64_MAX, err));
     SVO_TRY(make_table(k->p, false, k->distinct.value, k->distinct.times, k->distinct.count, k->table, &table_count, &kept, err));
     source s = {k->values, NULL, NULL, NULL, false};
     svo_palette_stats stats;
@@ -406,11 +432,13 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
     if (many) {
         r = pack_many(&k, goal, err);
     } else {
-        r = take_room(&k, k.distinct.count, err);
-        if (r == SVO_OK) r = goal.bound > 0 && k.distinct.count > 1 ? pack_within(&k, goal, aim, err) : pack_exactly(&k, err);
+        const bool within = goal.bound > 0 && k.distinct.count > 1;
+        const bool clustered = c->channel.kind == SVO_KIND_COLOR_SRGB8 && options->color_bits != 0;
+        r = take_room(&k, k.distinct.count, within ? GOAL_TABLE : clustered ? (uint64_t)1 << options->color_bits : UINT64_MAX, err);
+        if (r == SVO_OK) r = within ? pack_within(&k, goal, aim, err) : pack_exactly(&k, err);
     }
     svo_free(a, k.mapped, k.room, sizeof *k.mapped);
-    svo_free(a, k.table, k.room, sizeof *k.table);
+    svo_free(a, k.table, k.table_room, sizeof *k.table);
     svoi_distinct_free(&k.distinct);
     svoi_values_free(values);
     return r;

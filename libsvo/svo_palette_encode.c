@@ -206,12 +206,15 @@ typedef struct run {
     uint8_t *directory;  /* offsets count from the batch's own bytes at first */
     svo_buffer *bytes;   /* a batch */
     svo_palette_stats *stats;
+    svo_limit_allocator *limit;
 } run;
 
-static svo_result encode_batch(run *r, worker *w, uint64_t batch, svo_error *err)
+/* `scratch` is used for what is not known to be needed longer. */
+static svo_result encode_batch(run *r, worker *w, uint64_t batch, svo_buffer *scratch, svo_error *err)
 {
     const svo_palette_job *j = r->e.job;
     uint64_t last = (batch + 1) * BATCH < r->superblocks ? (batch + 1) * BATCH : r->superblocks;
+    scratch->size = 0;
     for (uint64_t s = batch * BATCH; s < last; s++) {
         uint64_t first = s * SVO_SUPERBLOCK, left = j->count - first;
         uint32_t n = left < SVO_SUPERBLOCK ? (uint32_t)left : SVO_SUPERBLOCK;
@@ -224,12 +227,13 @@ static svo_result encode_batch(run *r, worker *w, uint64_t batch, svo_error *err
             size = write_superblock(w, map, n, &r->stats[batch]);
         }
         uint8_t *entry = r->directory + s * SVO_PALETTE_ENTRY;
-        uint32_t offset = (uint32_t)r->bytes[batch].size;
+        uint32_t offset = (uint32_t)scratch->size;
         memcpy(entry, &map, sizeof map);
         memcpy(entry + 8, &offset, sizeof offset);
-        if (svo_buffer_append(&r->bytes[batch], w->out, size) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
+        if (svo_buffer_append(scratch, w->out, size) == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
     }
-    return SVO_OK;
+    svoi_limit_raise(r->limit, scratch->size + scratch->size / 2);
+    return svo_buffer_append(&r->bytes[batch], scratch->data, scratch->size) != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
 }
 
 static svo_result encode_batches(void *user, uint64_t begin, uint64_t end, uint32_t number, svo_error *err)
@@ -243,7 +247,10 @@ static svo_result encode_batches(void *user, uint64_t begin, uint64_t end, uint3
     w->chooser = r->e.points != NULL ? &svoi_lossy : &svoi_exact;
     w->state = w->chooser->create(&r->e, a);
     svo_result result = w->state == NULL ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)") : SVO_OK;
-    for (uint64_t batch = begin; batch < end && result == SVO_OK; batch++) result = encode_batch(r, w, batch, err);
+    svo_buffer scratch;
+    svo_buffer_init(&scratch, a);
+    for (uint64_t batch = begin; batch < end && result == SVO_OK; batch++) result = encode_batch(r, w, batch, &scratch, err);
+    svo_buffer_free(&scratch);
     if (w->state != NULL) w->chooser->destroy(w->state, a);
     svo_free(a, w, 1, sizeof *w);
     return result;
@@ -298,10 +305,12 @@ static svo_result encode(run *r, svo_buffer *directory, svo_buffer *payload, svo
     }
     if (result == SVO_OK) {
         for (uint64_t i = 0; i < batches; i++) total += r->bytes[i].size;
+        svoi_limit_raise(r->limit, total - total / 2 + 8 * groups + SVO_PALETTE_PADDING); /* joining needs no memory twice: pages of the whole are touched as those of batches are given back */
         if (!svo_buffer_reserve(payload, (size_t)(total + 8 * groups + SVO_PALETTE_PADDING)))
             result = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (palettes)");
     }
     if (result == SVO_OK) join(r, batches, groups, payload, stats);
+    svoi_limit_raise(r->limit, 0 - (total - total / 2));
     if (r->bytes != NULL)
         for (uint64_t i = 0; i < batches; i++) svo_buffer_free(&r->bytes[i]);
     svo_free(j->allocator, r->bytes, batches, sizeof *r->bytes);
@@ -312,8 +321,14 @@ static svo_result encode(run *r, svo_buffer *directory, svo_buffer *payload, svo
 svo_result svo_palette_encode(const svo_palette_job *job, svo_buffer *directory, svo_buffer *payload, svo_palette_stats *stats,
                               svo_error *err)
 {
+    return svoi_palette_encode(job, NULL, directory, payload, stats, err);
+}
+
+svo_result svoi_palette_encode(const svo_palette_job *job, svo_limit_allocator *limit, svo_buffer *directory, svo_buffer *payload,
+                               svo_palette_stats *stats, svo_error *err)
+{
     SVO_ASSERT(payload->size == 0);
-    run r = {.e = {.job = job, .table_bits = svo_palette_table_bits(job->table_count), .lattice_bits = svo_lattice_header_bits(job->kind)},
+    run r = {.limit = limit, .e = {.job = job, .table_bits = svo_palette_table_bits(job->table_count), .lattice_bits = svo_lattice_header_bits(job->kind)},
              .superblocks = (job->count + SVO_SUPERBLOCK - 1) / SVO_SUPERBLOCK};
     if (job->table_count > (uint64_t)1 << 31) return svo_fail(err, SVO_LIMIT, "a channel's table has more than 2^31 values");
     if (stats != NULL) *stats = (svo_palette_stats){0};

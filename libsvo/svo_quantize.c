@@ -83,8 +83,15 @@ static svo_result map_normals(void *user, uint64_t begin, uint64_t end, uint32_t
     return SVO_OK;
 }
 
-static svo_result quantize_normals(job *j, const svo_dag_options *o, svo_error *err)
+static svo_result take_errors(job *j, const svo_allocator *a, svo_error *err)
 {
+    j->error = svo_calloc(a, j->count, sizeof *j->error);
+    return j->error != NULL ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (quantisation)");
+}
+
+static svo_result quantize_normals(job *j, const svo_dag_options *o, const svo_allocator *a, svo_error *err)
+{
+    SVO_TRY(take_errors(j, a, err));
     j->bound = o->normal_degrees > 0 ? o->normal_degrees : INFINITY;
     /* With a bound: the fewest bits whose measured largest error keeps it; 32 bits are exact. */
     for (j->bits = o->normal_bits != 0 ? o->normal_bits : 4;; j->bits += 2) {
@@ -131,6 +138,7 @@ static svo_result quantize_colors(job *j, const svo_dag_options *o, const svo_al
     if (r == SVO_OK)
         r = o->color_bits != 0 ? svoi_cluster_colors(&c, 1u << o->color_bits, j->mapped, err)
                                : svoi_cover_colors(&c, o->color_delta_e, j->mapped, err);
+    if (r == SVO_OK) r = take_errors(j, a, err);
     if (r == SVO_OK) r = svo_parallel_for(o->threads, j->count, 4096, color_errors, j, err);
     svo_free(a, j->lab, j->count, sizeof *j->lab);
     return r;
@@ -148,9 +156,8 @@ svo_result svo_quantize(svo_channel_kind kind, const uint32_t *values, const uin
         *result = q;
         return SVO_OK;
     }
-    job j = {.values = values, .times = times, .count = count, .mapped = mapped, .error = svo_calloc(a, count, sizeof(double))};
-    if (j.error == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (quantisation)");
-    svo_result r = color ? quantize_colors(&j, options, a, err) : quantize_normals(&j, options, err);
+    job j = {.values = values, .times = times, .count = count, .mapped = mapped};
+    svo_result r = color ? quantize_colors(&j, options, a, err) : quantize_normals(&j, options, a, err);
     double sum = 0, weight = 0;
     for (uint64_t i = 0; i < count && r == SVO_OK; i++) {
         sum += j.error[i] * (double)times[i];

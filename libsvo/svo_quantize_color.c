@@ -27,7 +27,7 @@ typedef struct cluster {
     uint32_t count, capacity;
     float (*center)[3];
     uint32_t *own;    /* center of each colour */
-    uint32_t *sorted; /* colours along a Morton curve through CIELAB */
+    uint32_t *sorted; /* colours along a Morton curve through CIELAB; in the place of `order`, which is not needed any more */
     bounds *node;     /* of a binary tree over `sorted`: node i halves into 2i + 1 and 2i + 2 */
     uint32_t levels;  /* of the tree */
 } cluster;
@@ -228,30 +228,28 @@ static svo_result assign(void *user, uint64_t begin, uint64_t end, uint32_t work
     return r;
 }
 
-typedef struct keyed { uint64_t key; uint32_t color; } keyed;
-
-static int compare_keyed(const void *a, const void *b)
+static int compare_u64(const void *a, const void *b)
 {
-    const keyed *x = a, *y = b;
-    if (x->key != y->key) return x->key < y->key ? -1 : 1;
-    return (x->color > y->color) - (x->color < y->color);
+    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return (x > y) - (x < y);
 }
 
 static svo_result make_tree(cluster *k, svo_error *err)
 {
     const svoi_colors *c = k->c;
-    keyed *order = svo_alloc(c->a, c->count, sizeof *order);
+    uint64_t *order = svo_alloc(c->a, c->count, sizeof *order); /* 33 bits of the curve, 24 of a number */
     if (order == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (colours)");
+    k->sorted = k->order;
     for (uint64_t i = 0; i < c->count; i++) {
         uint32_t at[3];
         for (int j = 0; j < 3; j++) {
             double v = (c->lab[i][j] + (j == 0 ? 0 : 128)) * 8;
             at[j] = v > 0 ? (uint32_t)v : 0;
         }
-        order[i] = (keyed){svo_morton_encode(at[0], at[1], at[2]), (uint32_t)i};
+        order[i] = svo_morton_encode(at[0], at[1], at[2]) << 24 | i;
     }
-    qsort(order, (size_t)c->count, sizeof *order, compare_keyed);
-    for (uint64_t i = 0; i < c->count; i++) k->sorted[i] = order[i].color;
+    qsort(order, (size_t)c->count, sizeof *order, compare_u64);
+    for (uint64_t i = 0; i < c->count; i++) k->sorted[i] = (uint32_t)order[i] & 0xffffff;
     svo_free(c->a, order, c->count, sizeof *order);
     for (uint32_t level = k->levels + 1; level-- > 0;)
         for (uint64_t place = 0; place < (uint64_t)1 << level; place++) {
@@ -325,14 +323,13 @@ svo_result svoi_cluster_colors(const svoi_colors *c, uint32_t colors, uint32_t *
     cluster k = {.c = c, .capacity = colors};
     while (c->count >> k.levels > LEAF) k.levels++;
     uint64_t nodes = ((uint64_t)2 << k.levels) - 1;
-    k.sorted = svo_alloc(c->a, c->count, sizeof *k.sorted);
     k.node = svo_alloc(c->a, nodes, sizeof *k.node);
     k.order = svo_alloc(c->a, c->count, sizeof *k.order);
     k.own = svo_calloc(c->a, c->count, sizeof *k.own);
     k.boxes = svo_alloc(c->a, colors, sizeof *k.boxes);
     k.heap = svo_alloc(c->a, colors, sizeof *k.heap);
     k.center = svo_alloc(c->a, colors, sizeof *k.center);
-    svo_result r = k.order == NULL || k.own == NULL || k.boxes == NULL || k.heap == NULL || k.center == NULL || k.sorted == NULL || k.node == NULL
+    svo_result r = k.order == NULL || k.own == NULL || k.boxes == NULL || k.heap == NULL || k.center == NULL || k.node == NULL
                        ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (colours)")
                        : run_cluster(&k, mapped, err);
     svo_free(c->a, k.order, c->count, sizeof *k.order);
@@ -340,7 +337,6 @@ svo_result svoi_cluster_colors(const svoi_colors *c, uint32_t colors, uint32_t *
     svo_free(c->a, k.boxes, colors, sizeof *k.boxes);
     svo_free(c->a, k.heap, colors, sizeof *k.heap);
     svo_free(c->a, k.center, colors, sizeof *k.center);
-    svo_free(c->a, k.sorted, c->count, sizeof *k.sorted);
     svo_free(c->a, k.node, nodes, sizeof *k.node);
     return r;
 }

@@ -8,6 +8,7 @@
 
 #include "svo_dag.h"
 #include "svo_spill.h"
+#include "svoi_palette.h"
 
 /* --- distinct bricks, distinct nodes of a level ------------------------------------------------------------------ */
 
@@ -113,6 +114,8 @@ typedef struct svoi_values {
 /* `values` NULL appends zeros, to be replaced by svoi_values_set. SVO_OUT_OF_MEMORY without a message, or an error of the spill. */
 svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count, svo_error *err);
 svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value, svo_error *err);
+/* All pages to the file, if there may be one. */
+svo_result svoi_values_spill(svoi_values *v, svo_error *err);
 /* `n` values of one page from number `first` on: in place, or read to `buffer` (n * stride bytes). NULL when that fails. Several threads may. */
 const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n, uint8_t *buffer, svo_error *err);
 /* Replace `n` values of one page; several threads may, on different pages. */
@@ -143,16 +146,27 @@ typedef struct svoi_distinct {
     uint64_t count, capacity;
     uint64_t *slots; /* high half: value, low half: index + 1 */
     uint64_t slot_count;
+    uint64_t *bit;    /* colours instead: which occur, SVOI_COLORS bits, */
+    uint32_t *before; /* and how many do before each 64 of them */
 } svoi_distinct;
+enum { SVOI_COLORS = 1 << 24 };
 bool svoi_distinct_add(svoi_distinct *d, uint32_t value, uint64_t times);
 /* Sort by value and renumber. */
 bool svoi_distinct_sort(svoi_distinct *d);
 /* Index of a value that is in it. */
 uint32_t svoi_distinct_index(const svoi_distinct *d, uint32_t value);
 void svoi_distinct_free(svoi_distinct *d);
+/* Indices will not be asked for any more. */
+void svoi_distinct_seal(svoi_distinct *d);
 /* All of a stream, sorted; SVO_OUT_OF_MEMORY without a message, or an error of the spill. When there are more than `most`, *many becomes true
  * and *out has none. */
 svo_result svoi_values_distinct(const svoi_values *values, uint32_t threads, uint64_t most, svoi_distinct *out, bool *many, svo_error *err);
+
+/* The same for colours, however many: where 24 bits say everything, a bit for each is less than lists of threads that are joined. */
+svo_result svoi_colors_distinct(const svoi_values *values, uint32_t threads, svoi_distinct *out, svo_error *err);
+
+/* Indices of colours will be asked for again, after svoi_distinct_seal; false: out of memory. */
+bool svoi_colors_reopen(svoi_distinct *d);
 
 /* Every normal to the grid of `bits` (svo_quantize_normal), without a list of what occurs: with `write` in place. The distinct results go to *out as above. */
 typedef struct svoi_mapping {
@@ -166,6 +180,7 @@ svo_result svoi_values_map(svoi_values *values, uint32_t threads, uint64_t most,
 
 struct svo_packed {
     svo_limit_allocator memory; /* everything below is charged to it; the struct itself comes from its parent */
+    uint64_t limit;             /* what was asked for; the allocator's grows with the output */
     svo_view view;
     svo_buffer words[SVO_MAX_DEPTH], tree, bricks, raw[SVO_MAX_CHANNELS], table[SVO_MAX_CHANNELS], directory[SVO_MAX_CHANNELS],
         payload[SVO_MAX_CHANNELS], corrections[SVO_MAX_CHANNELS];
@@ -189,6 +204,9 @@ svo_result svoi_pack_channel(svo_packed *p, uint32_t channel, svoi_values *value
  * report, and with a bound (> 0) store those that are beyond it. */
 svo_result svoi_correct_averages(svo_packed *p, uint32_t channel, const svoi_values *values, double bound, uint32_t threads,
                                  svo_dag_channel_report *report, svo_error *err);
+
+/* What is written does not count against the limit: `bytes` of output are there, and may take half as much again on their way. */
+static inline void svoi_allow_output(svo_packed *p, uint64_t bytes) { svoi_limit_raise(&p->memory, bytes + bytes / 2); }
 
 /* SVO_LIMIT when a limit was asked for, else SVO_OUT_OF_MEMORY, with a message. */
 svo_result svoi_no_memory(const svo_packed *p, const char *what, svo_error *err);

@@ -82,6 +82,16 @@ typedef struct svoi_used {
 uint32_t svoi_used_index(const svoi_used *u, uint32_t index); /* of a named entry, among these */
 void svoi_used_free(svoi_used *u, const svo_allocator *a);
 
+/* A limit that is to grow: bytes that it does not mean. NULL: there is none. */
+static inline void svoi_limit_raise(svo_limit_allocator *limit, uint64_t bytes)
+{
+    if (limit != NULL && __atomic_load_n(&limit->limit, __ATOMIC_RELAXED) != UINT64_MAX) (void)__atomic_add_fetch(&limit->limit, bytes, __ATOMIC_RELAXED);
+}
+
+/* svo_palette_encode; the limit (NULL: none) grows by one and a half times the bytes that are written, since these are output. */
+svo_result svoi_palette_encode(const svo_palette_job *job, svo_limit_allocator *limit, svo_buffer *directory, svo_buffer *payload,
+                               svo_palette_stats *stats, svo_error *err);
+
 /* Rewrite sound blocks for a table without the entries that none of them names. `used` (to be freed) says which those are not; count 0: there
  * was nothing to encode. */
 svo_result svoi_palette_drop_unused(svo_channel_kind kind, uint64_t table_count, svo_buffer *directory, svo_buffer *payload, svoi_used *used,

@@ -1,4 +1,5 @@
 /* svo-compress: .svo -> .svdag. */
+#include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,7 +12,7 @@
 #include "svo_algorithm1.h"
 #include "svo_dag.h"
 
-enum { GEOMETRY_FAST = 1 };
+enum { GEOMETRY_FAST = 1, PROGRAM = 6 << 20 /* bytes that the program and its libraries take beyond what is charged without being touched */ };
 static const char *const geometry_names[] = {"svdag", "fast", "symmetric", "best", NULL};
 static const svo_geometry geometries[] = {SVO_GEOMETRY_SVDAG, SVO_GEOMETRY_FAST, SVO_GEOMETRY_SYMMETRIC, SVO_GEOMETRY_BEST};
 enum { LOD_ALL, LOD_STORED, LOD_NONE };
@@ -269,7 +270,13 @@ int main(int argc, char **argv)
         return cli_usage(&c, "--palettes algorithm1 keeps no bounds: give --color and --normal as lossless or a number of bits");
     r.options.geometry = geometries[args.geometry];
     r.options.threads = (uint32_t)c.threads;
-    r.options.memory = c.memory;
+    if (c.memory != 0) {
+        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
+        mallopt(M_MMAP_THRESHOLD, 1 << 16);
+        mallopt(M_TRIM_THRESHOLD, 1 << 17);
+        mallopt(M_ARENA_MAX, 1);
+        r.options.memory = c.memory > 2 * PROGRAM ? c.memory - PROGRAM : c.memory / 2;
+    }
     r.options.warnings = &c.warnings;
     r.options.phase = enter_phase;
     r.options.phase_user = &c;
