@@ -116,14 +116,14 @@ def test_compress_in_bounded_memory(folder):
         spilled = max(spilled, report["memory"]["temporary_bytes"])
         check(not [f for f in os.listdir(folder) if f.startswith("svokit")], "temporary files are left")
     check(spilled > 4 << 20, spilled)
-    for memory in (None, "48M", "24M"):  # without loss the output is larger than what is left of the memory
+    for memory in (None, "48M", "24M"):  # without loss, what values become adds to what is held
         run("svo-compress", folder / "s.svo", "-o", folder / ("%s.svdag" % memory), "--threads", 2, "--temp", folder, "--report", folder / "r.json", *(["--memory", memory] if memory else []))
         size = (folder / ("%s.svdag" % memory)).stat().st_size
         check((folder / ("%s.svdag" % memory)).read_bytes() == (folder / "None.svdag").read_bytes(), "%s: other bytes" % memory)
         if memory:
             peak = json.loads((folder / "r.json").read_text())["peak_rss_bytes"]
             check(peak <= 1.5 * size + (int(memory[:-1]) << 20) + base, (memory, peak, size, base))
-    check(size > 8 << 20, size)
+    check(size > 2 << 20, size)
     r = tool("svo-compress", folder / "s.svo", "-o", folder / "no.svdag", "--memory", "2M")
     check(r.code == 6 and not (folder / "no.svdag").exists(), r)
 
