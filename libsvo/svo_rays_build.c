@@ -184,7 +184,7 @@ static outcome collect(builder *b)
             node *n = &l->nodes[k];
             n->mask = mask;
             if (bricks) {
-                uint32_t low[3] = {16, 16, 16}, high[3] = {0, 0, 0};
+                uint32_t low[3] = {16, 16, 16}, high[3] = {0, 0, 0}, voxels = 0;
                 if ((o = grow(b, (void **)&b->bricks, &b->brick_capacity, b->brick_count + count, 8)) != DONE) return o;
                 if (b->numbers && (o = grow(b, (void **)&b->brick_before, &b->brick_before_capacity, b->brick_count + count, 4)) != DONE) return o;
                 n->first_child = b->brick_count;
@@ -195,8 +195,10 @@ static outcome collect(builder *b)
                     b->bricks[b->brick_count++] = brick;
                     mask_box(brick, inner_low, inner_high);
                     add_box(low, high, bit, inner_low, inner_high);
+                    voxels += (uint32_t)__builtin_popcountll(brick);
                 }
                 n->box = pack_box(low, high);
+                if (voxels == (high[0] - low[0] + 1) * (high[1] - low[1] + 1) * (high[2] - low[2] + 1)) n->box |= SVOI_RAYS_SOLID;
                 continue;
             }
             if ((o = grow(b, (void **)&l->children, &l->child_capacity, l->child_count + count, sizeof *l->children)) != DONE) return o;

@@ -6,7 +6,8 @@
  *     node    mask; u32 unit of its first child; u32 box        2 units
  *     brick   mask                                              1 unit
  * The children of a node lie side by side in the order of their bits; nodes that are equal in the file share them. The box is
- * what is inside the node, in sixteenths of its edge: six fields of 4 bits, low x y z and high x y z, both inclusive.
+ * what is inside the node, in sixteenths of its edge: six fields of 4 bits, low x y z and high x y z, both inclusive. Of nodes of 16^3
+ * voxels that is exact, and a bit above tells those whose box has no empty voxel (SVOI_RAYS_SOLID): walls that are parallel to an axis.
  *
  * Beside it, where attributes have numbers: for each child, at its unit, the number of its attribute less that of its parent's, times 2, and 1
  * where it is (inside) a full leaf. So the number of a hit's attribute is a sum over the nodes on the ray's stack, which only
@@ -25,7 +26,8 @@ enum {
     SVOI_RAYS_BATCH = 256,
     SVOI_RAYS_PACKET = 64, /* rays that are traced with one beam around them, at most */
     SVOI_RAYS_LEVELS = (SVO_MAX_DEPTH + 2) / 2,
-    SVOI_RAYS_PAD = 16 /* what vector loads may read past the end of arrays */
+    SVOI_RAYS_PAD = 16, /* what vector loads may read past the end of arrays */
+    SVOI_RAYS_SOLID = 1 << 24 /* in a node's box */
 };
 
 typedef struct svoi_ray_batch svoi_ray_batch;

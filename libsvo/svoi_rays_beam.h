@@ -285,17 +285,59 @@ INLINE void content_box(const svo_rays *r, uint32_t unit, const int32_t corner[3
     }
 }
 
+/* Has the box of what is in the node or brick no empty voxel, as far as that is known? Then a ray hits where it enters the box. */
+INLINE bool is_solid(const svo_rays *r, uint32_t unit, uint32_t s, const int32_t low[3], const int32_t high[3])
+{
+    if (s == r->fraction + 4) return r->units[unit + 1] >> 32 & SVOI_RAYS_SOLID;
+    const uint32_t sides = (uint32_t)((high[0] - low[0]) >> r->fraction) * (uint32_t)((high[1] - low[1]) >> r->fraction) * (uint32_t)((high[2] - low[2]) >> r->fraction);
+    return s == r->fraction + 2 && (uint32_t)__builtin_popcountll(r->units[unit]) == sides;
+}
+
+/* The rays `met` of the 16 from `i` on are blocked. */
+INLINE void keep_blocked(svoi_ray_batch *b, uint32_t i, uint32_t met)
+{
+    for (; met != 0; met &= met - 1) {
+        const uint32_t ray = (uint32_t)b->in.ray[i + (uint32_t)__builtin_ctz(met)];
+        b->blocked[ray / 8] |= (uint8_t)(1u << ray % 8);
+    }
+}
+
+/* The rays `met` of the 16 from `i` on hit what is in the node or brick at `unit` with edge 2^s, a child of `f`, where they enter its box. */
+INLINE void keep_entered(packet *p, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], uint32_t s, uint32_t unit, const frame *f)
+{
+    const svo_rays *r = p->r;
+    svoi_ray_batch *b = p->b;
+    uint32_t from = b->found;
+    find_rays(b, i, met, in, plane, side, (int32_t)r->fraction, p->y.negative);
+    if (!b->numbers) return;
+    const uint32_t above = f->base + (r->before[unit] >> 1);
+    for (; from < b->found; from++) {
+        uint32_t brick = unit, base = above;
+        if (b->state[from] == SVOI_RAY_DOUBT) continue;
+        if (s == r->fraction + 4) {
+            const uint32_t shift = r->fraction + 2, x = (uint32_t)b->at[0][from] >> shift & 3, y = (uint32_t)b->at[1][from] >> shift & 3, z = (uint32_t)b->at[2][from] >> shift & 3;
+            brick = (uint32_t)r->units[unit + 1] + (uint32_t)__builtin_popcountll(r->units[unit] & (((uint64_t)1 << (x | y << 2 | z << 4)) - 1));
+            base += r->before[brick] >> 1;
+        }
+        b->node_found[from] = (int32_t)brick, b->base[from] = (int32_t)base;
+    }
+}
+
 /* Rays that meet what is in the node or brick at `corner` with edge 2^s go on alone from there. With `any`, it is asked only whether they hit: they are to be
  * traced from there to where they leave it, and stay in the packet. What has no voxels for a ray costs it nothing this way: neither the way down to where it
  * begins nor the empty space beyond. True if no ray is left. */
-INLINE bool set_out(packet *p, bool lod, bool any, const frame *stack, const int32_t corner[3], uint32_t s, uint32_t unit)
+INLINE bool set_out(packet *p, bool lod, bool any, const frame *stack, const frame *f, const int32_t corner[3], uint32_t s, uint32_t unit)
 {
     svoi_ray_batch *b = p->b;
     int32_t low[3], high[3];
     uint32_t before = 0, after = 0;
+    bool solid = false;
     if (lod) /* nodes that are small enough count as full */
         for (int k = 0; k < 3; k++) low[k] = corner[k], high[k] = corner[k] + (int32_t)((uint32_t)1 << s);
-    else content_box(p->r, unit, corner, s, low, high);
+    else {
+        content_box(p->r, unit, corner, s, low, high);
+        solid = is_solid(p->r, unit, s, low, high);
+    }
     for (uint32_t g = 0; g < p->groups; g++) {
         if (p->active[g] == 0) continue;
         before++;
@@ -311,7 +353,11 @@ INLINE bool set_out(packet *p, bool lod, bool any, const frame *stack, const int
             out = wide_min(wide_mul(wide_sub(wide_set(back ? low[k] : high[k]), o), inv), out);
         }
         uint32_t met = wide_less(in, out) & wide_at_most(in, t_max) & p->active[g];
-        if (met != 0) {
+        if (met != 0 && solid) {
+            if (any) keep_blocked(b, i, met);
+            else keep_entered(p, i, met, in, plane, side, s, unit, f);
+            p->active[g] &= ~met;
+        } else if (met != 0) {
             if (any) t_max = wide_min(t_max, wide_before(out)); /* hits in the box are before `out` */
             uint32_t to = b->starts;
             start_rays(b, lod, i, met, in, t_max, plane, side, (1 << p->r->fraction) - 1);
@@ -407,14 +453,15 @@ INLINE void traverse(packet *p, bool lod, bool any)
         bool alone = s == r->fraction + 2 || p->y.width + p->y.width_slope * far > (any ? WIDE_ANY : WIDE) * narrow;
         if (lod) alone |= (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= narrow;
         if (!lod && s > r->fraction + 2 && beside(&p->y, &p->beam, (uint32_t)(r->units[child + 1] >> 32), at, s)) continue;
-        if (!alone) {
+        const bool solid = !lod && s == r->fraction + 4 && (r->units[child + 1] >> 32 & SVOI_RAYS_SOLID);
+        if (!alone && !solid) {
             s -= 2;
             f++;
             enter_node(p, f, child, at, s);
         } else if (s == r->fraction + 2 && p->y.width + p->y.width_slope * far <= NARROW * (double)((uint32_t)1 << r->fraction) &&
                    !(lod && (p->y.limit + p->y.limit_slope * far) * 1.000001 + 1 >= (double)((uint32_t)2 << r->fraction))) {
             if (visit_brick(p, child, f->base, at)) return;
-        } else if (set_out(p, lod, any, stack, at, s, child)) return;
+        } else if (set_out(p, lod, any, stack, f, at, s, child)) return;
         if (any && b->starts + b->found + SVOI_RAYS_PACKET > SVOI_RAYS_BATCH && settle(p, lod)) return;
     }
 }

@@ -99,29 +99,52 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
     }
 }
 
-/* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; side[k] is the cell before
- * such a plane. Where it is not certain in which finest voxel they are they count as found, in doubt. */
+/* Fixed-point positions of 16 rays from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such
+ * a plane. Those for which it is not certain in which finest voxel they are then. */
+INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, int32_t q[3][16])
+{
+    uint32_t doubt = 0;
+    for (int k = 0; k < 3; k++) {
+        const uint32_t through = wide_at_most(in, plane[k]);
+        for (int h = 0; h < 4; h++)
+            _mm_store_si128((__m128i *)&q[k][4 * h], _mm256_cvttpd_epi32(_mm256_fmadd_pd(_mm256_loadu_pd(&b->in.d[k][i + 4 * (uint32_t)h]), in.v[h], _mm256_loadu_pd(&b->in.o[k][i + 4 * (uint32_t)h]))));
+        for (uint32_t lane = 0; lane < 16; lane++) {
+            if (through >> lane & 1) q[k][lane] = side[k];
+            else doubt |= (uint32_t)(((q[k][lane] + 1) & unit_mask) <= 1) << lane;
+        }
+    }
+    return doubt;
+}
+
+/* The rays `met` of the 16 from `i` on hit a finest voxel where they enter something; see enter_at. Neither node_found nor base is set, nor t nor the face. */
+INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
+{
+    _Alignas(16) int32_t q[3][16];
+    const uint32_t doubt = enter_at(b, i, in, plane, side, (1 << fraction) - 1, q);
+    (void)negative;
+    for (; met != 0; met &= met - 1, b->found++) {
+        const uint32_t lane = (uint32_t)__builtin_ctz(met);
+        b->found_ray[b->found] = b->in.ray[i + lane];
+        b->state[b->found] = doubt >> lane & 1 ? SVOI_RAY_DOUBT : fraction + 1;
+        for (int k = 0; k < 3; k++) b->at[k][b->found] = q[k][lane];
+    }
+}
+
+/* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; see enter_at. Where it is not
+ * certain in which finest voxel they are they count as found, in doubt. */
 INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
     _Alignas(32) double enter[16], leave[16];
     _Alignas(16) int32_t q[3][16];
-    uint32_t through[3];
-    for (int h = 0; h < 4; h++) {
-        _mm256_store_pd(enter + 4 * h, in.v[h]), _mm256_store_pd(leave + 4 * h, t_max.v[h]);
-        for (int k = 0; k < 3; k++)
-            _mm_store_si128((__m128i *)&q[k][4 * h], _mm256_cvttpd_epi32(_mm256_fmadd_pd(_mm256_loadu_pd(&b->in.d[k][i + 4 * (uint32_t)h]), in.v[h], _mm256_loadu_pd(&b->in.o[k][i + 4 * (uint32_t)h]))));
-    }
-    for (int k = 0; k < 3; k++) through[k] = wide_at_most(in, plane[k]);
+    const uint32_t doubt = enter_at(b, i, in, plane, side, unit_mask, q);
+    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]), _mm256_store_pd(leave + 4 * h, t_max.v[h]);
     for (; met != 0; met &= met - 1) {
         const uint32_t lane = (uint32_t)__builtin_ctz(met), from = i + lane, to = b->starts;
-        bool doubt = false;
         for (int k = 0; k < 3; k++) {
-            const bool side_known = through[k] >> lane & 1;
-            doubt |= !side_known && ((q[k][lane] + 1) & unit_mask) <= 1;
-            b->start.q[k][to] = side_known ? side[k] : q[k][lane];
+            b->start.q[k][to] = q[k][lane];
             b->start.o[k][to] = b->in.o[k][from], b->start.d[k][to] = b->in.d[k][from], b->start.inv[k][to] = b->in.inv[k][from];
         }
-        if (doubt) {
+        if (doubt >> lane & 1) {
             b->found_ray[b->found] = b->in.ray[from], b->state[b->found] = SVOI_RAY_DOUBT;
             b->found++;
             continue;

@@ -75,13 +75,12 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
     b->found += (uint32_t)__builtin_popcount(hits);
 }
 
-/* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; side[k] is the cell before
- * such a plane. Where it is not certain in which finest voxel they are they count as found, in doubt. */
-INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
+/* Fixed-point positions of the 16 rays from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such a
+ * plane. Those for which it is not certain in which finest voxel they are then. */
+INLINE __mmask16 enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, __m512i q[3])
 {
     const __m512i one = _mm512_set1_epi32(1);
-    __mmask16 m = (__mmask16)met, doubt = 0;
-    __m512i q[3], ray = _mm512_loadu_si512(&b->in.ray[i]);
+    __mmask16 doubt = 0;
     for (int k = 0; k < 3; k++) {
         wide d = wide_load(&b->in.d[k][i]), o = wide_load(&b->in.o[k][i]);
         __mmask16 through = (__mmask16)wide_at_most(in, plane[k]);
@@ -90,13 +89,38 @@ INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wi
         doubt |= (__mmask16)~through & _mm512_cmple_epu32_mask(_mm512_and_si512(_mm512_add_epi32(q[k], one), _mm512_set1_epi32(unit_mask)), one);
         q[k] = _mm512_mask_mov_epi32(q[k], through, _mm512_set1_epi32(side[k]));
     }
-    doubt &= m;
-    if (doubt != 0) {
-        keep_words(&b->found_ray[b->found], doubt, ray);
-        wide_fill(&b->state[b->found], SVOI_RAY_DOUBT);
-        b->found += (uint32_t)__builtin_popcount(doubt);
-        m &= (__mmask16)~doubt;
-    }
+    return doubt;
+}
+
+INLINE void keep_doubt(svoi_ray_batch *b, __mmask16 m, __m512i ray)
+{
+    keep_words(&b->found_ray[b->found], m, ray);
+    wide_fill(&b->state[b->found], SVOI_RAY_DOUBT);
+    b->found += (uint32_t)__builtin_popcount(m);
+}
+
+/* The rays `met` of the 16 from `i` on hit a finest voxel where they enter something; see enter_at. Neither node_found nor base is set. */
+INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
+{
+    __m512i q[3], ray = _mm512_loadu_si512(&b->in.ray[i]), face = _mm512_set1_epi32(SVO_FACE_INSIDE);
+    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, (1 << fraction) - 1, q), m = (__mmask16)met & (__mmask16)~doubt;
+    if (doubt != 0) keep_doubt(b, doubt, ray);
+    for (int k = 2; k >= 0; k--) face = _mm512_mask_mov_epi32(face, (__mmask16)wide_at_most(in, plane[k]), _mm512_set1_epi32(2 * k + (negative >> k & 1)));
+    keep_doubles(&b->t_found[b->found], m, in);
+    keep_words(&b->face_found[b->found], m, face);
+    keep_words(&b->found_ray[b->found], m, ray);
+    wide_fill(&b->state[b->found], fraction + 1);
+    for (int k = 0; k < 3; k++) keep_words(&b->at[k][b->found], m, q[k]);
+    b->found += (uint32_t)__builtin_popcount(m);
+}
+
+/* The rays `met` of the 16 from `i` on set out at `in`, and end at t_max, through the planes for which plane[k] == in; see enter_at. Where it is not
+ * certain in which finest voxel they are they count as found, in doubt. */
+INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
+{
+    __m512i q[3], ray = _mm512_loadu_si512(&b->in.ray[i]);
+    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, unit_mask, q), m = (__mmask16)met & (__mmask16)~doubt;
+    if (doubt != 0) keep_doubt(b, doubt, ray);
     uint32_t to = b->starts;
     for (int k = 0; k < 3; k++) {
         keep_doubles(&b->start.o[k][to], m, wide_load(&b->in.o[k][i]));

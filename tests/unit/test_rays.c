@@ -88,7 +88,7 @@ static int compare_codes(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Sorted, unique codes of a world: 0 scattered, 1 a shell, 2 a solid block with holes, 3 clusters. */
+/* Sorted, unique codes of a world: 0 scattered, 1 a shell, 2 a solid block with holes, 3 clusters, 4 walls and blocks parallel to the axes. */
 static uint64_t make_world(uint32_t depth, uint32_t style, uint64_t want, uint64_t *seed, uint64_t **out)
 {
     uint64_t *codes = malloc((want + 1) * 8), count = 0, mask = ((uint64_t)1 << 3 * depth) - 1;
@@ -106,6 +106,17 @@ static uint64_t make_world(uint32_t depth, uint32_t style, uint64_t want, uint64
         } else if (style == 3) {
             if (i % 64 == 0) base = test_random(seed) & mask;
             codes[count++] = (base ^ (test_random(seed) & 511)) & mask;
+        } else if (style == 4) { /* half of them are thin, half of those without a hole; most reach across several nodes of 16^3 */
+            const uint64_t holes = test_random(seed) % 2;
+            uint32_t low[3], size[3];
+            svo_morton_decode(test_random(seed) & mask, &low[0], &low[1], &low[2]);
+            for (int k = 0; k < 3; k++) size[k] = 1 + (uint32_t)(test_random(seed) % 23);
+            if (test_random(seed) % 2 == 0) size[test_random(seed) % 3] = 1;
+            for (uint32_t j = 0; j < size[0] * size[1] * size[2] && i < want; j++) {
+                const uint32_t c[3] = {low[0] + j % size[0], low[1] + j / size[0] % size[1], low[2] + j / size[0] / size[1]};
+                if (c[0] >= n || c[1] >= n || c[2] >= n || (holes != 0 && test_random(seed) % 40 == 0)) continue;
+                codes[count++] = svo_morton_encode(c[0], c[1], c[2]), i++;
+            }
         } else codes[count++] = test_random(seed) & mask;
     }
     if (count == 0) codes[count++] = 0;
@@ -122,7 +133,7 @@ TEST(every_depth_and_shape)
     static const uint32_t depths[] = {0, 1, 2, 3, 4, 5, 6, 7, 8, 11, 16, 21};
     uint64_t seed = 1;
     for (size_t d = 0; d < sizeof depths / sizeof *depths; d++)
-        for (uint32_t style = 0; style < 4 && !test_failed(); style++) {
+        for (uint32_t style = 0; style < 5 && !test_failed(); style++) {
             uint64_t *codes, cells = (uint64_t)1 << 3 * depths[d], want = cells < 3000 ? cells : 3000;
             uint64_t count = make_world(depths[d], style, want, &seed, &codes);
             for (int lod = 0; lod < 3 && !test_failed(); lod++) {
@@ -179,7 +190,7 @@ TEST(rays_that_go_the_same_way)
     svo_ray *rays = malloc(RAYS * sizeof *rays);
     uint64_t seed = 21;
     for (size_t d = 0; d < sizeof depths / sizeof *depths; d++)
-        for (uint32_t style = 0; style < 4 && !test_failed(); style++) {
+        for (uint32_t style = 0; style < 5 && !test_failed(); style++) {
             uint64_t *codes, cells = (uint64_t)1 << 3 * depths[d], want = cells < 5000 ? cells : 5000;
             uint64_t count = make_world(depths[d], style, want, &seed, &codes);
             packer_options o = {.lod = true};
