@@ -180,6 +180,7 @@ static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch 
     b->found = 0;
     b->rays = rays;
     b->numbers = r->before != NULL;
+    b->numbered = false;
     bool start = trace_packets(r, lod, b);
     r->code->trace(r, lod, start, b);
     if (b->found < count) memset(hits, 0, count * sizeof *hits); /* padding too: hits can be compared as bytes */
@@ -194,7 +195,7 @@ static void cast_batch(const svo_rays *r, svoi_ray_cache *cache, svoi_ray_batch 
             const uint32_t i = (uint32_t)b->found_ray[j + (uint32_t)__builtin_ctz(rest)];
             svoi_raycast(r->view, cache, &rays[i], 1, &hits[i]);
         }
-    for (uint32_t j = 0; j < b->found && !r->view->unnumbered; j++)
+    for (uint32_t j = 0; j < b->found && !r->view->unnumbered && !b->numbered; j++)
         if (!(b->again[j / 8] >> j % 8 & 1)) hits[b->found_ray[j]].attribute = number_of(r, cache, b, j);
 }
 

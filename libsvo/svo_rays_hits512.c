@@ -18,14 +18,14 @@ _Static_assert(sizeof(svo_hit) == 32 && offsetof(svo_hit, attribute) == 8 && off
                    offsetof(svo_hit, face) == 29 && offsetof(svo_hit, hit) == 30,
                "layout of svo_hit");
 
-/* t, cells and flags of 8 hits, and the hits. */
-INLINE void put_hits(svoi_ray_batch *b, uint32_t j, uint32_t count, __m512d enter, const __m256i cell[3], __m256i flags, svo_hit *hits)
+/* t, numbers of attributes, cells and flags of 8 hits, and the hits. */
+INLINE void put_hits(svoi_ray_batch *b, uint32_t j, uint32_t count, __m512d enter, __m512i attribute, const __m256i cell[3], __m256i flags, svo_hit *hits)
 {
     enter = _mm512_add_pd(enter, _mm512_setzero_pd()); /* no negative zero */
-    /* rows t, attribute (not known yet), cells 0 and 1, cell 2 and the rest; to columns */
+    /* rows t, attribute, cells 0 and 1, cell 2 and the rest; to columns */
     const __m512i first = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[0]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(cell[1]), 32));
     const __m512i second = _mm512_or_si512(_mm512_cvtepu32_epi64(cell[2]), _mm512_slli_epi64(_mm512_cvtepu32_epi64(flags), 32));
-    const __m512i ta = _mm512_unpacklo_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512()), tb = _mm512_unpackhi_epi64(_mm512_castpd_si512(enter), _mm512_setzero_si512());
+    const __m512i ta = _mm512_unpacklo_epi64(_mm512_castpd_si512(enter), attribute), tb = _mm512_unpackhi_epi64(_mm512_castpd_si512(enter), attribute);
     const __m512i ca = _mm512_unpacklo_epi64(first, second), cb = _mm512_unpackhi_epi64(first, second);
     _Alignas(64) uint64_t out[4][8]; /* hits 0 4, 1 5, 2 6, 3 7 */
     const __m512i low = _mm512_setr_epi64(0, 1, 8, 9, 4, 5, 12, 13), high = _mm512_setr_epi64(2, 3, 10, 11, 6, 7, 14, 15);
@@ -37,16 +37,40 @@ INLINE void put_hits(svoi_ray_batch *b, uint32_t j, uint32_t count, __m512d ente
         _mm256_storeu_si256((__m256i *)&hits[b->found_ray[j + i]], _mm256_load_si256((const __m256i *)&out[i & 3][i & 4]));
 }
 
+/* Numbers of the attributes of 8 finest voxels, those of `sure`: as number_of in svo_rays.c. */
+INLINE __m512i finest_numbers(const svo_rays *r, const svoi_ray_batch *b, uint32_t j, __mmask8 sure, const __m256i cell[3])
+{
+    const __m256i node = _mm256_maskz_loadu_epi32(sure, &b->node_found[j]), three = _mm256_set1_epi32(3);
+    const __m256i x = _mm256_and_si256(cell[0], three), y = _mm256_slli_epi32(_mm256_and_si256(cell[1], three), 2), z = _mm256_slli_epi32(_mm256_and_si256(cell[2], three), 4);
+    const __m256i in_brick = _mm256_ternarylogic_epi32(x, y, z, 0xfe);
+    const __m512i mask = _mm512_i32gather_epi64(node, r->units, 8), earlier = _mm512_i32gather_epi64(in_brick, r->earlier, 8);
+    __m512i inside = _mm512_popcnt_epi64(_mm512_and_si512(mask, earlier));
+    if (svo_view_brick_lod(r->view)) { /* of blocks of 2x2x2 voxels too */
+        __m512i blocks = _mm512_or_si512(mask, _mm512_srli_epi64(mask, 1));
+        blocks = _mm512_or_si512(blocks, _mm512_srli_epi64(blocks, 4));
+        blocks = _mm512_or_si512(blocks, _mm512_srli_epi64(blocks, 16));
+        const __m512i before = _mm512_i32gather_epi64(_mm256_and_si256(in_brick, _mm256_set1_epi32(42)), r->earlier, 8);
+        blocks = _mm512_and_si512(_mm512_and_si512(blocks, _mm512_set1_epi64(0x0000050500000505)), before);
+        inside = _mm512_add_epi64(inside, _mm512_add_epi64(_mm512_popcnt_epi64(blocks), _mm512_set1_epi64(2)));
+    }
+    const __m256i full = _mm256_i32gather_epi32((const int *)r->before, node, 4); /* a full leaf's voxels have its attribute */
+    const __mmask8 own = _mm256_mask_testn_epi32_mask(sure, full, _mm256_set1_epi32(1));
+    const __m512i base = _mm512_maskz_cvtepu32_epi64(sure, _mm256_loadu_si256((const __m256i *)&b->base[j]));
+    return _mm512_mask_add_epi64(base, own, base, inside);
+}
+
 /* Of finest voxels, whose t and face are known. */
 static void finest_hits(const svo_rays *r, svoi_ray_batch *b, svo_hit *hits)
 {
     for (uint32_t j = 0; j < b->found; j += 8) {
         const uint32_t count = b->found - j < 8 ? b->found - j : 8;
         __m256i cell[3];
-        b->again[j / 8] = (__mmask8)((1u << count) - 1) & _mm256_cmpeq_epi32_mask(_mm256_loadu_si256((const __m256i *)&b->state[j]), _mm256_set1_epi32(SVOI_RAY_DOUBT));
+        const __mmask8 lanes = (__mmask8)((1u << count) - 1);
+        b->again[j / 8] = lanes & _mm256_cmpeq_epi32_mask(_mm256_loadu_si256((const __m256i *)&b->state[j]), _mm256_set1_epi32(SVOI_RAY_DOUBT));
         for (int k = 0; k < 3; k++) cell[k] = _mm256_srai_epi32(_mm256_loadu_si256((const __m256i *)&b->at[k][j]), (int)r->fraction);
         const __m256i flags = _mm256_or_si256(_mm256_slli_epi32(_mm256_loadu_si256((const __m256i *)&b->face_found[j]), 8), _mm256_set1_epi32((int)r->view->depth + (1 << 16)));
-        put_hits(b, j, count, _mm512_loadu_pd(&b->t_found[j]), cell, flags, hits);
+        const __m512i attribute = b->numbers ? finest_numbers(r, b, j, lanes & (__mmask8)~b->again[j / 8], cell) : _mm512_setzero_si512();
+        put_hits(b, j, count, _mm512_loadu_pd(&b->t_found[j]), attribute, cell, flags, hits);
     }
 }
 
@@ -54,6 +78,7 @@ void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_h
 {
     if (!lod) {
         finest_hits(r, b, hits);
+        b->numbered = b->numbers;
         return;
     }
     const double *rays = (const double *)b->rays;
@@ -91,7 +116,7 @@ void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_h
         b->again[j / 8] = again;
         __m256i flags = _mm256_sub_epi32(_mm256_set1_epi32((int)r->view->depth + (1 << 16)), above);
         flags = _mm256_or_si256(flags, _mm256_slli_epi32(face, 8));
-        put_hits(b, j, count, enter, cell, flags, hits);
+        put_hits(b, j, count, enter, _mm512_setzero_si512(), cell, flags, hits);
     }
 }
 #else

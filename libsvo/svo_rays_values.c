@@ -8,28 +8,31 @@ enum { BATCH = 256, KNOWN_BITS = 6 };
 
 /* Distinct numbers of a batch, nearly: those that come again within the last few. */
 typedef struct lookup {
-    uint64_t index[BATCH];
+    uint64_t index[BATCH + 1]; /* one more: what is written before it is known to be new */
     uint32_t value[BATCH];
-    uint32_t count;
-    uint16_t of[BATCH]; /* by hit: which of them */
+    uint32_t count, hits;
+    uint16_t of[BATCH + 1], hit[BATCH + 1]; /* of each hit: which of them; its place in the batch */
 } lookup;
 
+/* Without branches: whether a ray hits, and whether its neighbour hit the same, can hardly be predicted. */
 static void distinct(const svo_hit *hits, uint32_t count, lookup *l)
 {
     uint16_t known[1 << KNOWN_BITS];
     memset(known, 0, sizeof known);
-    l->count = 0;
-    l->index[0] = ~(uint64_t)0;
+    l->count = l->hits = 0;
     for (uint32_t i = 0; i < count; i++) {
-        if (!hits[i].hit) continue;
-        uint64_t index = hits[i].attribute;
-        uint32_t slot = (uint32_t)(index * 0x9e3779b97f4a7c15u >> (64 - KNOWN_BITS)), at = known[slot];
-        if (l->index[at] != index) {
-            at = l->count++;
-            known[slot] = (uint16_t)at;
-            l->index[at] = index;
-        }
-        l->of[i] = (uint16_t)at;
+        l->hit[l->hits] = (uint16_t)i;
+        l->hits += hits[i].hit;
+    }
+    l->index[0] = ~(uint64_t)0;
+    for (uint32_t i = 0; i < l->hits; i++) {
+        const uint64_t index = hits[l->hit[i]].attribute;
+        const uint32_t slot = (uint32_t)(index * 0x9e3779b97f4a7c15u >> (64 - KNOWN_BITS));
+        const bool new = l->index[known[slot]] != index;
+        const uint16_t at = new ? (uint16_t)l->count : known[slot];
+        l->index[l->count] = new ? index : 0;
+        l->count += new;
+        known[slot] = l->of[i] = at;
     }
 }
 
@@ -53,6 +56,21 @@ static void read_values(const svo_view *v, uint32_t channel, lookup *l)
     }
 }
 
+/* Values to their places. (A copy of a length that the compiler does not know is a call.) */
+static void put_values(const lookup *l, uint32_t stride, uint8_t *out)
+{
+    switch (stride) {
+    case 4:
+        for (uint32_t i = 0; i < l->hits; i++) memcpy(out + 4u * l->hit[i], &l->value[l->of[i]], 4);
+        break;
+    case 3:
+        for (uint32_t i = 0; i < l->hits; i++) memcpy(out + 3u * l->hit[i], &l->value[l->of[i]], 3);
+        break;
+    default:
+        for (uint32_t i = 0; i < l->hits; i++) memcpy(out + stride * l->hit[i], &l->value[l->of[i]], stride);
+    }
+}
+
 void svo_rays_values(const svo_view *view, uint32_t channel, const svo_hit *hits, uint64_t count, uint8_t *out)
 {
     const uint32_t stride = svo_channel_stride(view->channels[channel].channel.kind);
@@ -63,8 +81,7 @@ void svo_rays_values(const svo_view *view, uint32_t channel, const svo_hit *hits
         distinct(hits + first, n, &l);
         read_values(view, channel, &l);
         memset(out, 0, (size_t)n * stride);
-        for (uint32_t i = 0; i < n; i++)
-            if (hits[first + i].hit) memcpy(out + (size_t)i * stride, &l.value[l.of[i]], stride);
+        put_values(&l, stride, out);
         out += (size_t)n * stride;
     }
 }

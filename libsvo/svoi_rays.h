@@ -42,7 +42,7 @@ typedef struct svoi_rays_code {
     void (*begin)(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
     /* All rays in lanes: those of `in`, or those of `start`, from where `s`, `node` and `stack` say; what is found is appended. */
     void (*trace)(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
-    /* hits[ray] of what was found, all but the attributes, which are 0; b->again tells by number of what was found which are not what svo_raycast finds. */
+    /* hits[ray] of what was found, all but the attributes, which are 0 unless b->numbered is set; b->again tells by number of what was found which are not what svo_raycast finds. */
     void (*hits)(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
     /* `count` rays of `in` from `first` on, at most SVOI_RAYS_PACKET, together, to where they must part: there they are appended to
      * `start`. With `any`, rays stay together, and what is appended are the parts of them that may be blocked: one ray may be there several times, and
@@ -88,6 +88,7 @@ struct svoi_ray_batch {
     /* What was found, in no order: number of ray; state: SVOI_RAY_DOUBT, or 1 + log2 of the edge of the node hit, in
      * fixed-point units; where the ray was then. */
     bool numbers; /* `base` and `node_found` are wanted */
+    bool numbered; /* `hits` has set the numbers of attributes */
     uint32_t found;
     _Alignas(64) int32_t found_ray[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], state[SVOI_RAYS_BATCH + SVOI_RAYS_PAD], at[3][SVOI_RAYS_BATCH + SVOI_RAYS_PAD];
     /* Of finest voxels, where no ray has a level of detail; not set in doubt, nor by every kernel: where the ray enters it, and its face. */
