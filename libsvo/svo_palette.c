@@ -26,30 +26,7 @@ void svo_lattice_split(svo_channel_kind kind, uint32_t value, int32_t c[3])
     }
 }
 
-static uint32_t clamp8(int32_t v) { return v < 0 ? 0 : v > 255 ? 255 : (uint32_t)v; }
-static uint32_t clamp16(int64_t v) { return (uint16_t)(int16_t)(v < -32767 ? -32767 : v > 32767 ? 32767 : v); }
-
-uint32_t svo_lattice_point(svo_channel_kind kind, const svo_lattice *l, uint32_t number)
-{
-    switch (kind) {
-    case SVO_KIND_COLOR_SRGB8: {
-        uint32_t n0 = (uint32_t)l->n[0], n1 = (uint32_t)l->n[1], q = number / n0, p = q / n1;
-        int32_t y = l->low[0] + (int32_t)((number - q * n0) * l->step[0]);
-        int32_t co = l->low[1] + (int32_t)((q - p * n1) * l->step[1]);
-        int32_t cg = l->low[2] + (int32_t)(p * l->step[2]);
-        int32_t t = y - (cg >> 1), g = cg + t, b = t - (co >> 1), r = b + co;
-        return clamp8(r) | clamp8(g) << 8 | clamp8(b) << 16;
-    }
-    case SVO_KIND_NORMAL_OCT32: {
-        uint32_t n0 = (uint32_t)l->n[0], q = number / n0;
-        return clamp16(l->low[0] + (int64_t)(number - q * n0) * l->step[0]) | clamp16(l->low[1] + (int64_t)q * l->step[1]) << 16;
-    }
-    case SVO_KIND_UNORM8: return clamp8(l->low[0] + (int32_t)(number * l->step[0]));
-    case SVO_KIND_ID16: return ((uint32_t)l->low[0] + number) & 0xffff;
-    case SVO_KIND_ID32: return (uint32_t)l->low[0] + number;
-    }
-    return 0;
-}
+uint32_t svo_lattice_point(svo_channel_kind kind, const svo_lattice *l, uint32_t number) { return svoi_lattice_point(kind, l, number); }
 
 static uint32_t between(uint32_t a, uint32_t b, uint32_t number, uint32_t most) { return (a * (most - number) + b * number + most / 2) / most; }
 

@@ -1,6 +1,6 @@
 /* Reading one value of a channel's blocks: svo_palette_value. All that a reader does at random goes through here, so what is
  * asked of memory comes first (a block's header and the begin of its data are two places) and the rest follows in registers. */
-#include "svo_palette.h"
+#include "svoi_palette.h"
 
 static inline uint64_t load64(const uint8_t *p)
 {
@@ -116,13 +116,13 @@ static inline svo_lattice other_lattice(svo_channel_kind kind, const uint8_t *da
 static uint32_t color_of_lattice(place b, bool runs)
 {
     svo_lattice l = color_lattice(b.data);
-    return svo_lattice_point(SVO_KIND_COLOR_SRGB8, &l, number_of(b, 67, width_of(l.n[0] * l.n[1] * l.n[2]), runs));
+    return svoi_lattice_point(SVO_KIND_COLOR_SRGB8, &l, number_of(b, 67, width_of(l.n[0] * l.n[1] * l.n[2]), runs));
 }
 
 static uint32_t normal_of_lattice(place b, bool runs)
 {
     svo_lattice l = normal_lattice(b.data);
-    return svo_lattice_point(SVO_KIND_NORMAL_OCT32, &l, number_of(b, 78, width_of(l.n[0] * l.n[1]), runs));
+    return svoi_lattice_point(SVO_KIND_NORMAL_OCT32, &l, number_of(b, 78, width_of(l.n[0] * l.n[1]), runs));
 }
 
 static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
@@ -131,7 +131,7 @@ static uint32_t value_of_lattice(svo_channel_kind kind, place b, bool runs)
     if (kind == SVO_KIND_NORMAL_OCT32) return normal_of_lattice(b, runs);
     uint32_t width, at = lattice_numbers(kind, b.data, &width);
     svo_lattice l = other_lattice(kind, b.data);
-    return svo_lattice_point(kind, &l, number_of(b, at, width, runs));
+    return svoi_lattice_point(kind, &l, number_of(b, at, width, runs));
 }
 
 /* Where a value is: first its superblock and block, then the block's header, then its data. Each step reads what the one before has named, which
@@ -337,7 +337,7 @@ static void read_some(const svo_palette *p, const search *f, uint32_t count, uin
             last = number;
             if (mode >= SVO_BLOCK_PALETTE) value = table_value(p, bits_at(data, entries + number * b, b));
             else if (mode >= SVO_BLOCK_LINE) value = svo_line_point(p->kind, ends[0], ends[1], number, most);
-            else if (mode >= SVO_BLOCK_BOX) value = svo_lattice_point(p->kind, &l, number);
+            else if (mode >= SVO_BLOCK_BOX) value = svoi_lattice_point(p->kind, &l, number);
             else value = table_value(p, number);
         }
         values[i] = value;

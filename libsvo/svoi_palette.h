@@ -12,6 +12,32 @@ enum {
     SVOI_REACH = 2047       /* a block's data begins at most here */
 };
 
+/* svo_lattice_point, for those who read many: a lattice that stays in registers. */
+static inline uint32_t svoi_clamp8(int32_t v) { return v < 0 ? 0 : v > 255 ? 255 : (uint32_t)v; }
+static inline uint32_t svoi_clamp16(int64_t v) { return (uint16_t)(int16_t)(v < -32767 ? -32767 : v > 32767 ? 32767 : v); }
+
+static inline uint32_t svoi_lattice_point(svo_channel_kind kind, const svo_lattice *l, uint32_t number)
+{
+    switch (kind) {
+    case SVO_KIND_COLOR_SRGB8: {
+        uint32_t n0 = (uint32_t)l->n[0], n1 = (uint32_t)l->n[1], q = number / n0, p = q / n1;
+        int32_t y = l->low[0] + (int32_t)((number - q * n0) * l->step[0]);
+        int32_t co = l->low[1] + (int32_t)((q - p * n1) * l->step[1]);
+        int32_t cg = l->low[2] + (int32_t)(p * l->step[2]);
+        int32_t t = y - (cg >> 1), g = cg + t, b = t - (co >> 1), r = b + co;
+        return svoi_clamp8(r) | svoi_clamp8(g) << 8 | svoi_clamp8(b) << 16;
+    }
+    case SVO_KIND_NORMAL_OCT32: {
+        uint32_t n0 = (uint32_t)l->n[0], q = number / n0;
+        return svoi_clamp16(l->low[0] + (int64_t)(number - q * n0) * l->step[0]) | svoi_clamp16(l->low[1] + (int64_t)q * l->step[1]) << 16;
+    }
+    case SVO_KIND_UNORM8: return svoi_clamp8(l->low[0] + (int32_t)(number * l->step[0]));
+    case SVO_KIND_ID16: return ((uint32_t)l->low[0] + number) & 0xffff;
+    case SVO_KIND_ID32: return (uint32_t)l->low[0] + number;
+    }
+    return 0;
+}
+
 typedef struct svoi_bits { uint8_t *p; uint64_t bits; uint32_t held; } svoi_bits;
 
 static inline void svoi_put(svoi_bits *w, uint32_t value, uint32_t width)
