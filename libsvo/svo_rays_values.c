@@ -8,7 +8,8 @@ enum { BATCH = 256, KNOWN_BITS = 6 };
 
 /* Distinct numbers of a batch, nearly: those that come again within the last few. */
 typedef struct lookup {
-    uint64_t index[BATCH + 1]; /* one more: what is written before it is known to be new */
+    uint64_t number[BATCH + 1]; /* of each hit; one more: what is written before it is known to be needed */
+    uint64_t index[BATCH + 1];
     uint32_t value[BATCH];
     uint32_t count, hits;
     uint16_t of[BATCH + 1], hit[BATCH + 1]; /* of each hit: which of them; its place in the batch */
@@ -20,13 +21,14 @@ static void distinct(const svo_hit *hits, uint32_t count, lookup *l)
     uint16_t known[1 << KNOWN_BITS];
     memset(known, 0, sizeof known);
     l->count = l->hits = 0;
+    l->index[0] = ~(uint64_t)0;
     for (uint32_t i = 0; i < count; i++) {
         l->hit[l->hits] = (uint16_t)i;
+        l->number[l->hits] = hits[i].attribute;
         l->hits += hits[i].hit;
     }
-    l->index[0] = ~(uint64_t)0;
     for (uint32_t i = 0; i < l->hits; i++) {
-        const uint64_t index = hits[l->hit[i]].attribute;
+        const uint64_t index = l->number[i];
         const uint32_t slot = (uint32_t)(index * 0x9e3779b97f4a7c15u >> (64 - KNOWN_BITS));
         const bool new = l->index[known[slot]] != index;
         const uint16_t at = new ? (uint16_t)l->count : known[slot];
@@ -56,6 +58,16 @@ static void read_values(const svo_view *v, uint32_t channel, lookup *l)
     }
 }
 
+/* Of a channel that has one value. */
+static void put_constant(const uint8_t *value, uint32_t stride, const svo_hit *hits, uint64_t count, uint8_t *out)
+{
+    static const uint8_t none[SVO_MAX_STRIDE];
+    for (uint64_t i = 0; i < count; i++, out += stride) {
+        const uint8_t *from = hits[i].hit ? value : none;
+        for (uint32_t k = 0; k < stride; k++) out[k] = from[k];
+    }
+}
+
 /* Values to their places. (A copy of a length that the compiler does not know is a call.) */
 static void put_values(const lookup *l, uint32_t stride, uint8_t *out)
 {
@@ -76,6 +88,10 @@ void svo_rays_values(const svo_view *view, uint32_t channel, const svo_hit *hits
     const uint32_t stride = svo_channel_stride(view->channels[channel].channel.kind);
     lookup l;
     SVO_ASSERT(stride <= sizeof *l.value);
+    if (view->channels[channel].encoding == SVO_ENCODING_CONSTANT) {
+        put_constant(view->channels[channel].channel.value, stride, hits, count, out);
+        return;
+    }
     for (uint64_t first = 0; first < count; first += BATCH) {
         uint32_t n = count - first < BATCH ? (uint32_t)(count - first) : BATCH;
         distinct(hits + first, n, &l);
