@@ -2,6 +2,7 @@
 #ifndef FMT_IMPORT_H
 #define FMT_IMPORT_H
 
+#include "fmt_file.h"
 #include "svo_mesh.h"
 #include "svo_spill.h"
 
@@ -23,9 +24,9 @@ typedef struct fmt_import_options {
     uint64_t block_bytes;           /* text is cut into blocks of about this size, which are read in parallel; 0 = 1 MiB; nor on this */
     svo_warnings *warnings;         /* may be NULL */
     /* Called for every file that was read, the model first and then what it refers to (materials, buffers, textures), in
-     * the order of reading, with its path as it was opened and its bytes, which are valid during the call only. May be
-     * NULL. An image that is used twice may be read, and told, twice. */
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
+     * the order of reading, with its path as it was opened and its bytes, which are valid during the call, or until what it returns has been waited
+     * for (fmt_file.h). May be NULL. An image that is used twice may be read, and told, twice. */
+    fmt_file_read_fn file_read;
     void *file_read_user;
     /* Where a mesh goes that does not fit in `memory` bytes (0 = no limit) beside its builder: its parts are spilled then
      * (svo_soup.h). Works for all but .drc and the parts of a glTF file that Draco packed, which are read into memory. NULL: never. */

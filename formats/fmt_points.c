@@ -291,7 +291,7 @@ svo_result fmt_points_open(const char *path, const fmt_points_options *options, 
     svo_result r = fmt_bytes_open(path, 1, NULL, &f->file, err);
     if (r == SVO_LIMIT || (r == SVO_OK && f->file.size != 0 && !f->file.mapped))
         r = svo_fail(err, SVO_UNSUPPORTED, "%s: points are read twice, from a file and not from a pipe", path);
-    if (r == SVO_OK && f->o.file_read != NULL) f->o.file_read(f->o.file_read_user, path, f->file.data, f->file.size, f->file.mapped);
+    if (r == SVO_OK && f->o.file_read != NULL) f->file.beside = f->o.file_read(f->o.file_read_user, path, f->file.data, f->file.size, f->file.mapped);
     if (r == SVO_OK) r = open_rows(f, err);
     if (r == SVO_OK) r = survey(f, err);
     if (r == SVO_OK) *out = f;

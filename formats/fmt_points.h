@@ -2,7 +2,7 @@
 #ifndef FMT_POINTS_H
 #define FMT_POINTS_H
 
-#include "svo_alloc.h"
+#include "fmt_file.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -24,7 +24,7 @@ typedef struct fmt_points_options {
     uint32_t threads;    /* 0 = all; the result does not depend on it */
     const svo_allocator *allocator;
     svo_warnings *warnings; /* may be NULL */
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped); /* as in fmt_import_options */
+    fmt_file_read_fn file_read; /* as in fmt_import_options */
     void *file_read_user;
 } fmt_points_options;
 

@@ -22,7 +22,7 @@ typedef struct fmt_volume_options {
     uint64_t memory;         /* mapped samples that were used are dropped from memory where they are more than half of this; 0 = never */
     uint64_t temporary;      /* bytes that packed samples (gzip, text) may have when they are unpacked to a temporary file; more is SVO_LIMIT; 0: any */
     const svo_allocator *allocator;
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped); /* of the file with the data, where it is another one */
+    fmt_file_read_fn file_read; /* of the file with the data, where it is another one */
     void *file_read_user;
 } fmt_volume_options;
 

@@ -64,11 +64,11 @@ static bool note_opened(const import_context *c, const char *path, const fmt_byt
 svo_result import_open(const import_context *c, const char *path, fmt_bytes *out, svo_error *err)
 {
     SVO_TRY(fmt_bytes_open(path, c->max_file_bytes, c->allocator, out, err));
+    if (c->file_read != NULL) out->beside = c->file_read(c->file_read_user, path, out->data, out->size, out->mapped);
     if (!note_opened(c, path, out)) {
         fmt_bytes_close(out);
         return import_no_memory(err);
     }
-    if (c->file_read != NULL) c->file_read(c->file_read_user, path, out->data, out->size, out->mapped);
     return SVO_OK;
 }
 

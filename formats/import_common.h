@@ -22,7 +22,7 @@ typedef struct import_context {
     uint64_t block_bytes; /* as in fmt_import_options */
     bool skip_images;
     uint32_t without; /* FMT_WITHOUT_... */
-    void (*file_read)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped); /* may be NULL */
+    fmt_file_read_fn file_read; /* may be NULL */
     void *file_read_user;
     const svo_spill *spill; /* may be NULL */
     uint64_t memory;        /* what a spilling import may take, about */

@@ -6,6 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "svoi_crew.h"
+
 uint32_t svo_processor_count(void)
 {
     cpu_set_t set;
@@ -63,11 +65,10 @@ static void loop_run(loop *l, uint32_t worker)
     }
 }
 
-static void *loop_thread(void *arg)
+static void loop_order(void *arg)
 {
     loop_worker *w = arg;
     loop_run(w->loop, w->index);
-    return NULL;
 }
 
 svo_result svo_parallel_for(uint32_t threads, uint64_t count, uint64_t grain, svo_range_fn fn, void *user, svo_error *err)
@@ -85,18 +86,51 @@ svo_result svo_parallel_for(uint32_t threads, uint64_t count, uint64_t grain, sv
 
     loop l = {.count = count, .grain = grain, .fn = fn, .user = user};
     pthread_mutex_init(&l.lock, NULL);
-    pthread_t thread[SVOI_MAX_THREADS];
+    svoi_order order[SVOI_MAX_THREADS];
     loop_worker worker[SVOI_MAX_THREADS];
     uint32_t started = 1;
     for (; started < threads; started++) {
         worker[started] = (loop_worker){&l, started};
-        if (pthread_create(&thread[started], NULL, loop_thread, &worker[started]) != 0) break; /* fewer will do */
+        order[started] = (svoi_order){.fn = loop_order, .arg = &worker[started]};
+        if (!svoi_crew_start(&order[started])) break; /* fewer will do */
     }
     loop_run(&l, 0);
-    for (uint32_t i = 1; i < started; i++) pthread_join(thread[i], NULL);
+    for (uint32_t i = 1; i < started; i++) svoi_crew_wait(&order[i]);
     pthread_mutex_destroy(&l.lock);
     if (l.result != SVO_OK && err != NULL) *err = l.error;
     return l.result;
+}
+
+/* --- beside --------------------------------------------------------------------------------------------------- */
+
+struct svo_beside {
+    svoi_order order;
+    bool ended;
+};
+
+svo_beside *svo_beside_start(void (*fn)(void *user), void *user)
+{
+    svo_beside *b = malloc(sizeof *b);
+    if (b != NULL) {
+        *b = (svo_beside){.order = {.fn = fn, .arg = user}};
+        if (svoi_crew_start(&b->order)) return b;
+        free(b);
+    }
+    fn(user);
+    return NULL;
+}
+
+void svo_beside_wait(svo_beside *b)
+{
+    if (b == NULL || b->ended) return;
+    svoi_crew_wait(&b->order);
+    b->ended = true;
+}
+
+void svo_beside_free(svo_beside *b)
+{
+    svo_beside_wait(b);
+    free(b);
 }
 
 /* --- ordered pipeline ----------------------------------------------------------------------------------------- */
@@ -200,11 +234,10 @@ static void pipe_work(pipe_run *r, uint32_t worker)
     pthread_mutex_unlock(&r->lock);
 }
 
-static void *pipe_thread(void *arg)
+static void pipe_order(void *arg)
 {
     pipe_worker *w = arg;
     pipe_work(w->run, w->index);
-    return NULL;
 }
 
 svo_result svo_pipeline_run(const svo_pipeline *p, svo_error *err)
@@ -221,15 +254,16 @@ svo_result svo_pipeline_run(const svo_pipeline *p, svo_error *err)
     }
     pthread_mutex_init(&r.lock, NULL);
     pthread_cond_init(&r.wake, NULL);
-    pthread_t thread[SVOI_MAX_THREADS];
+    svoi_order order[SVOI_MAX_THREADS];
     pipe_worker worker[SVOI_MAX_THREADS];
     uint32_t started = 1;
     for (; started < threads; started++) {
         worker[started] = (pipe_worker){&r, started};
-        if (pthread_create(&thread[started], NULL, pipe_thread, &worker[started]) != 0) break;
+        order[started] = (svoi_order){.fn = pipe_order, .arg = &worker[started]};
+        if (!svoi_crew_start(&order[started])) break;
     }
     pipe_work(&r, 0);
-    for (uint32_t i = 1; i < started; i++) pthread_join(thread[i], NULL);
+    for (uint32_t i = 1; i < started; i++) svoi_crew_wait(&order[i]);
     if (p->destroy != NULL)
         for (uint32_t i = 0; i < r.window; i++) p->destroy(p->user, r.items + (size_t)i * p->item_size);
     pthread_cond_destroy(&r.wake);

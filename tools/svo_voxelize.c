@@ -74,6 +74,7 @@ static svo_result import_all(cli *c, uint32_t channels, const svo_allocator *a, 
             r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
         }
         if (r != SVO_OK) break;
+        sources_settle(read);
         json_array_append_new(inputs, cli_provenance_input(c->inputs[done], read->list[first].hash));
     }
     if (r == SVO_OK && count == 1) {
@@ -364,6 +365,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         }
         if (fmt_spill_in_memory(j.spill)) svo_warn(&c->warnings, "temporary files in %s would lie in memory (tmpfs); choose a disk with --temp", fmt_spill_folder(j.spill));
     }
+    read.beside = c->threads != 1 && c->memory == 0; /* within --memory what has been hashed is given back at once */
     svo_pager *pager = NULL;
     svo_result r = SVO_OK;
     if (j.spill != NULL) r = svo_pager_create(fmt_spill_files(j.spill), c->memory / 8 < MOST_PAGES ? c->memory / 8 : MOST_PAGES, c->memory / 4, &limit.base, &pager, err);

@@ -7,8 +7,25 @@
 #include <xxhash.h>
 
 #include "fmt_file.h"
+#include "svo_task.h"
 
-void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped)
+enum { HASHED_BESIDE = 4 << 20 }; /* bytes: what takes longer than waking a thread */
+
+typedef struct sources_work {
+    const uint8_t *bytes;
+    uint64_t size;
+    bool mapped;
+    char *hash;
+    svo_beside *beside;
+} sources_work;
+
+static void hash_source(void *user)
+{
+    const sources_work *w = user;
+    fmt_hash_file(w->bytes, w->size, w->mapped, w->hash);
+}
+
+struct svo_beside *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped)
 {
     sources *s = user;
     if (s->count == s->capacity) {
@@ -16,24 +33,47 @@ void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t si
         source *list = realloc(s->list, capacity * sizeof *list);
         if (list == NULL) {
             s->failed = true;
-            return;
+            return NULL;
         }
         s->list = list;
         s->capacity = capacity;
     }
-    source *n = &s->list[s->count];
-    n->path = strdup(path);
-    if (n->path == NULL) {
+    source n = {.path = strdup(path), .hash = malloc(33)};
+    if (n.path == NULL || n.hash == NULL) {
+        free(n.path);
+        free(n.hash);
         s->failed = true;
-        return;
+        return NULL;
     }
-    fmt_hash_file(bytes, size, mapped, n->hash);
-    s->count++;
+    sources_work now = {.bytes = bytes, .size = size, .mapped = mapped, .hash = n.hash};
+    if (s->beside && size >= HASHED_BESIDE) {
+        sources_settle(s); /* one thread more, not one a file */
+        n.work = malloc(sizeof *n.work);
+    }
+    if (n.work != NULL) {
+        *n.work = now;
+        n.work->beside = svo_beside_start(hash_source, n.work);
+    } else {
+        hash_source(&now);
+    }
+    s->list[s->count++] = n;
+    return n.work != NULL ? n.work->beside : NULL;
+}
+
+void sources_settle(const sources *s)
+{
+    for (size_t i = 0; i < s->count; i++)
+        if (s->list[i].work != NULL) svo_beside_wait(s->list[i].work->beside);
 }
 
 void sources_free(sources *s)
 {
-    for (size_t i = 0; i < s->count; i++) free(s->list[i].path);
+    for (size_t i = 0; i < s->count; i++) {
+        if (s->list[i].work != NULL) svo_beside_free(s->list[i].work->beside);
+        free(s->list[i].work);
+        free(s->list[i].path);
+        free(s->list[i].hash);
+    }
     free(s->list);
     memset(s, 0, sizeof *s);
 }
@@ -44,6 +84,7 @@ svo_result sources_key(const sources *s, const char *what, uint8_t key[16], svo_
 {
     svo_buffer text;
     svo_buffer_init(&text, NULL);
+    sources_settle(s);
     bool ok = !s->failed && svo_buffer_append(&text, what, strlen(what) + 1) != NULL;
     for (size_t i = 0; ok && i < s->count; i++) {
         const char *slash = strrchr(s->list[i].path, '/'), *name = slash != NULL ? slash + 1 : s->list[i].path;

@@ -6,17 +6,21 @@
 
 typedef struct source {
     char *path; /* as opened */
-    char hash[33];
+    char *hash; /* 33 bytes; after sources_settle */
+    struct sources_work *work; /* NULL: hashed already */
 } source;
 
 typedef struct sources {
     source *list;
     size_t count, capacity;
+    bool beside; /* large files are hashed on a thread more while they are read */
     bool failed; /* out of memory; checked once, at the end */
 } sources;
 
 /* fmt_import_options.file_read with a sources as user. */
-void sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
+struct svo_beside *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
+/* Wait for all hashes. */
+void sources_settle(const sources *s);
 void sources_free(sources *s);
 
 /* Hash of everything that decides the bytes of an output: `what` (options and versions as text) and the content and the

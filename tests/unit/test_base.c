@@ -1,6 +1,9 @@
 /* The foundations: result codes, sizes, limits, loops, pipeline, matrices, Morton codes, colours, normals, chunks. */
+#define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include "svo_alloc.h"
 #include "svo_channel.h"
@@ -143,6 +146,50 @@ TEST(pipeline_commits_in_order_and_stops_at_the_first_failure)
         CHECK_U64(g.next, 501);
     }
 }
+
+static void count_beside(void *user) { *(uint32_t *)user += 1; }
+
+/* A loop in a loop, so that some threads that wait for work are taken while others work. */
+static svo_result count_nested(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    for (uint64_t i = begin; i < end; i++) SVO_TRY(svo_parallel_for(3, 64, 1, count_items, (uint8_t *)user + 64 * i, err));
+    return SVO_OK;
+}
+
+TEST(threads_that_stay_do_each_piece_of_work_once)
+{
+    svo_error err;
+    for (uint32_t round = 0; round < 200; round++) {
+        static uint8_t hits[16 * 64];
+        memset(hits, 0, sizeof hits);
+        uint32_t beside = 0;
+        svo_beside *b = svo_beside_start(count_beside, &beside);
+        CHECK_OK(svo_parallel_for(4, 16, 1, count_nested, hits, &err));
+        svo_beside_wait(b);
+        svo_beside_wait(b);
+        CHECK_U64(beside, 1);
+        svo_beside_free(b);
+        for (uint32_t i = 0; i < sizeof hits; i++) CHECK(hits[i] == 1);
+    }
+    svo_beside_wait(NULL);
+    svo_beside_free(NULL);
+}
+
+#if !defined(__SANITIZE_THREAD__)
+TEST(a_child_process_has_threads_of_its_own)
+{
+    svo_error err;
+    uint8_t hits[1003] = {0};
+    CHECK_OK(svo_parallel_for(4, sizeof hits, 10, count_items, hits, &err)); /* now some wait */
+    const pid_t child = fork();
+    if (child == 0) _exit(svo_parallel_for(4, sizeof hits, 10, count_items, hits, &err) == SVO_OK && hits[0] == 2 && hits[1002] == 2 ? 0 : 1);
+    CHECK(child > 0);
+    int status = -1;
+    CHECK(waitpid(child, &status, 0) == child);
+    CHECK(status == 0);
+}
+#endif
 
 TEST(morton_round_trip_and_order)
 {
