@@ -100,6 +100,24 @@ def test_lossless_at_all_depths(folder):
             check(voxels(folder, out) == want, "svo-dump sees other voxels")
 
 
+def test_pictures_before_and_after_are_the_same_bit_for_bit(folder):
+    """Without loss: from the octree as it was voxelized and from every layout, near by and so far away that inner nodes are drawn."""
+    if not support.have("svo-render"):
+        support.skip("svo-render is not built")
+    svo, _ = octree(folder, 6)
+    for view in (["--size", "120x90"], ["--size", "16x12", "--samples", 2], ["--size", "90x60", "--eye", "3,2,1", "--target", "0.4,0.5,0.6", "--fov", 20]):
+        before = run("svo-render", svo, "-o", "-", *view).out
+        for geometry in ("svdag", "fast", "symmetric", "best"):
+            for lod in ("all", "stored"):
+                dag = compress(svo, "--geometry", geometry, "--lod", lod)[0]
+                check(run("svo-render", dag, "-o", "-", *view).out == before, (view, geometry, lod))
+        check(run("svo-render", compress(svo, "--color", 2)[0], "-o", "-", *view).out != before, "four colours show")
+    near = ["--size", "64x48", "--footprint", 0]
+    before = run("svo-render", svo, "-o", "-", *near).out
+    for geometry in ("svdag", "fast", "best"):
+        check(run("svo-render", compress(svo, "--geometry", geometry, "--lod", "none")[0], "-o", "-", *near).out == before, geometry)
+
+
 def test_every_index_is_its_place_in_the_order(folder):
     svo, _ = octree(folder, 4)
     for lod, geometry in (("all", "fast"), ("none", "fast"), ("all", "best"), ("none", "best"), ("all", "symmetric"), ("stored", "fast"), ("stored", "best")):
