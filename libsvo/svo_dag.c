@@ -60,7 +60,7 @@ svo_dag_options svo_default_dag_options(void)
 
 svo_result svoi_no_memory(const svo_packed *p, const char *what, svo_error *err)
 {
-    if (p->memory.limit != UINT64_MAX)
+    if (p->limit != 0)
         return svo_fail(err, SVO_LIMIT, "more memory than the limit of %llu bytes is needed (%s)",
                         (unsigned long long)p->limit, what);
     return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (%s)", what);
