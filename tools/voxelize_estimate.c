@@ -15,14 +15,16 @@
 #include "svo_soup.h"
 
 enum {
-    TRIAL_DEPTH = 9,
-    SOLID_DEPTH = 8, /* of the one trial that makes what tells inside from outside */
+    TRIAL_DEPTH = 9, /* also of the one trial that makes what tells inside from outside */
     PARTS = 6, PART_VOXELS = 100000, /* tried at the job's own depth */
+    LARGER = 16,
     VOXEL_BYTES = 24,  /* more than a voxel takes in a file, with every channel */
     RECORD_BYTES = 250, /* more than a triangle takes in temporary files */
     SOLID_MOST = 350,   /* the same of what tells inside from outside, where no edge is shared */
     SOLID_LEAST = 80    /* less than it takes where all are shared */
 };
+
+static const double PART_SECONDS = 0.05;
 
 /* A voxel of the trial, from which a part of the grid is chosen. */
 typedef struct probes {
@@ -110,11 +112,11 @@ static svo_result try_depth(const estimate_input *in, svo_fill fill, uint32_t de
 }
 
 /* Bytes and seconds a voxel at the depth of the job itself, of a few parts of the grid around voxels of the trial. */
-static svo_result try_parts(const estimate_input *in, const trial *coarse, const probes *probe, double voxels, trial *out, svo_error *err)
+static svo_result try_parts(const estimate_input *in, const trial *coarse, const probes *probe, double voxels, double part_voxels, trial *out, svo_error *err)
 {
     const uint32_t chunk_level = svo_chunk_level(in->info->depth);
     uint32_t level = chunk_level < coarse->depth ? chunk_level : coarse->depth;
-    while (level > 0 && voxels / (double)coarse->nodes[level] < PART_VOXELS) level--;
+    while (level > 0 && voxels / (double)coarse->nodes[level] < part_voxels) level--;
     const uint64_t *codes = (const uint64_t *)(const void *)probe->codes.data, count = probe->codes.size / sizeof *codes;
     uint64_t last = UINT64_MAX;
     memset(out, 0, sizeof *out);
@@ -162,23 +164,27 @@ static double surface_nodes(const trial *fine, uint32_t level)
 /* What the inside makes of a surface. */
 typedef struct inside {
     uint32_t depth;
-    double volume;         /* in voxels of that depth */
-    double bytes, seconds; /* times those of the surface */
-    double setup;          /* seconds, once */
+    double volume;  /* in voxels of that depth */
+    double bytes;   /* times those of the surface */
+    double seconds; /* more for each voxel of the surface: beside it lies what is asked and listed, while what triangles cost is shared by more and more voxels */
+    double setup;   /* seconds more, once */
 } inside;
 
-static svo_result try_inside(const estimate_input *in, run_estimate *e, inside *out, svo_error *err)
+/* Measured: what the inside takes grows by 3.6 from depth 9 to 10 and to 11 while voxels of the surface grow by 4; deeper it is taken to follow them. */
+static double inside_seconds(const inside *i, uint32_t depth) { return i->seconds * pow(0.9, fmin(3, (double)depth - i->depth)); }
+
+static svo_result try_inside(const estimate_input *in, const trial *surface, run_estimate *e, inside *out, svo_error *err)
 {
-    trial solid, surface;
-    SVO_TRY(try_depth(in, SVO_FILL_SURFACE, SOLID_DEPTH, 0, 0, NULL, &surface, err));
-    SVO_TRY(try_depth(in, SVO_FILL_SOLID, SOLID_DEPTH, 0, 0, NULL, &solid, err));
-    e->trial_seconds += solid.seconds + surface.seconds;
+    trial solid;
+    SVO_TRY(try_depth(in, SVO_FILL_SOLID, surface->depth, 0, 0, NULL, &solid, err));
+    e->trial_seconds += solid.seconds;
+    const double voxels = (double)surface->nodes[surface->depth];
     /* Half of what the voxels of the surface hold is inside. */
-    *out = (inside){.depth = solid.depth, .volume = (double)solid.nodes[solid.depth] - (double)surface.nodes[surface.depth] / 2, .setup = solid.seconds_setup - surface.seconds_setup};
-    if (solid.nodes[solid.depth] == surface.nodes[surface.depth]) out->volume = 0; /* nothing is inside */
-    out->bytes = surface.bytes > 0 ? (double)solid.bytes / (double)surface.bytes : 1;
-    out->seconds = surface.seconds_voxels > 0 ? solid.seconds_voxels / surface.seconds_voxels : 1;
-    if (out->seconds < 1) out->seconds = 1;
+    *out = (inside){.depth = solid.depth, .volume = (double)solid.nodes[solid.depth] - voxels / 2, .setup = solid.seconds_setup - surface->seconds_setup};
+    if (solid.nodes[solid.depth] == surface->nodes[surface->depth]) out->volume = 0; /* nothing is inside */
+    out->bytes = surface->bytes > 0 ? (double)solid.bytes / (double)surface->bytes : 1;
+    out->seconds = voxels > 0 ? (solid.seconds_voxels - surface->seconds_voxels) / voxels : 0;
+    if (out->seconds < 0) out->seconds = 0;
     if (out->setup < 0) out->setup = 0;
     return SVO_OK;
 }
@@ -205,9 +211,14 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
     pthread_mutex_init(&probe.lock, NULL);
     svo_result r = trials(in, depth < TRIAL_DEPTH ? depth : TRIAL_DEPTH, &probe, &e, &fine, err);
     surface = surface_nodes(&fine, depth);
-    if (r == SVO_OK && depth > fine.depth) r = try_parts(in, &fine, &probe, surface, &part, err);
+    if (r == SVO_OK && depth > fine.depth) r = try_parts(in, &fine, &probe, surface, PART_VOXELS, &part, err);
+    /* Where parts take so little time that beginning them counts, larger ones say more. */
+    if (r == SVO_OK && depth > fine.depth && part.seconds_voxels < PART_SECONDS && PARTS * LARGER * (double)PART_VOXELS < surface / 2) {
+        e.trial_seconds += part.seconds;
+        r = try_parts(in, &fine, &probe, surface, LARGER * (double)PART_VOXELS, &part, err);
+    }
     const bool apart = is_solid(in) && depth > fine.depth;
-    if (r == SVO_OK && apart) r = try_inside(in, &e, &within, err);
+    if (r == SVO_OK && apart) r = try_inside(in, &fine, &e, &within, err);
     pthread_mutex_destroy(&probe.lock);
     svo_buffer_free(&probe.codes);
     if (r != SVO_OK) return r;
@@ -222,7 +233,7 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
     e.nodes = (uint64_t)(nodes + 0.5);
     e.bytes = tried > 0 ? (uint64_t)((double)t->bytes / tried * surface * (apart ? within.bytes : 1)) : fine.bytes;
     e.seconds = in->seconds_before + t->seconds_setup + (apart ? within.setup : 0) +
-                (tried > 0 ? t->seconds_voxels / tried * surface * (apart ? within.seconds : 1) : t->seconds_voxels);
+                (tried > 0 ? (t->seconds_voxels / tried + (apart ? inside_seconds(&within, depth) : 0)) * surface : t->seconds_voxels);
     e.temporary = in->spill != NULL ? fmt_spill_count(in->spill).bytes_peak : 0;
     struct rusage usage;
     if (getrusage(RUSAGE_SELF, &usage) == 0) e.memory = (uint64_t)usage.ru_maxrss * 1024;
@@ -263,7 +274,7 @@ void estimate_print(cli *c, const run_estimate *e, const char *output, const fmt
     printf("basis        voxels, nodes: the job at depth %u (%llu voxels), extrapolated; by the area of the surface alone: %.4g voxels.\n"
            "             output, time: parts of the job (%llu voxels), extrapolated; temporary, memory: what these took.%s All that in %.2f s.\n",
            e->depth, (unsigned long long)e->trial_voxels, e->voxels_by_area, (unsigned long long)(e->part_voxels != 0 ? e->part_voxels : e->trial_voxels),
-           e->inside ? " These are of the surface; inside: the solid at depth 8." : "", e->trial_seconds);
+           e->inside ? " These are of the surface; inside: the solid at that depth." : "", e->trial_seconds);
 }
 
 /* Does what tells inside from outside lie in temporary files for sure? (svo_voxelize.c has it in memory where 200 bytes a triangle are less than half.) */
