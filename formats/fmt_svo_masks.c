@@ -82,20 +82,29 @@ static uint8_t next_byte(coder *c)
     return 0;
 }
 
-/* p: probability of 1, of 65536 */
+/* The range has fallen below 2^24, but not below 2^13 (P_LEAST): one or two bytes follow. */
+static inline void decode_more(coder *c)
+{
+    if (c->end - c->in < 2) { /* near the end: byte by byte */
+        while (c->range < 1u << 24) {
+            c->code = c->code << 8 | next_byte(c);
+            c->range <<= 8;
+        }
+        return;
+    }
+    uint32_t bytes = c->range < 1u << 16 ? 2 : c->range < 1u << 24, two = (uint32_t)c->in[0] << 8 | c->in[1];
+    c->code = c->code << 8 * bytes | two >> (16 - 8 * bytes);
+    c->range <<= 8 * bytes;
+    c->in += bytes;
+}
+
+/* p: probability of 1, of 65536. Without branches: which way they went would be guessed wrong too often. */
 static inline uint32_t decode_bit(coder *c, uint32_t p)
 {
-    uint32_t bound = (c->range >> 16) * p, bit = c->code < bound;
-    if (bit != 0) {
-        c->range = bound;
-    } else {
-        c->code -= bound;
-        c->range -= bound;
-    }
-    while (c->range < 1u << 24) {
-        c->code = c->code << 8 | next_byte(c);
-        c->range <<= 8;
-    }
+    uint32_t bound = (c->range >> 16) * p, bit = c->code < bound, zero = bit - 1; /* zero: all bits set where it is 0 */
+    c->code -= bound & zero;
+    c->range = bound + ((c->range - 2 * bound) & zero);
+    decode_more(c);
     return bit;
 }
 
