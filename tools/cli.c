@@ -12,6 +12,7 @@
 
 #include "cli_internal.h"
 #include "fmt_file.h"
+#include "fmt_utf8.h"
 
 size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_MAX_COMMON])
 {
@@ -45,9 +46,25 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
 
 /* --- messages --- */
 
+void cli_write_plain(FILE *to, const char *text)
+{
+    const size_t length = strlen(text);
+    for (size_t i = 0; i < length;) {
+        const unsigned char first = (unsigned char)text[i];
+        size_t n = fmt_utf8_character(text + i, length - i);
+        bool control = first < 0x20 || first == 0x7f || (first == 0xc2 && n == 2 && (unsigned char)text[i + 1] < 0xa0); /* the last: U+0080 to U+009F */
+        if (n == 0) n = 1, control = true;
+        if (!control) fwrite(text + i, 1, n, to);
+        for (size_t k = 0; control && k < n; k++) fprintf(to, "\\x%02x", (unsigned char)text[i + k]);
+        i += n;
+    }
+}
+
 void cli_say(const cli *c, const char *kind, const char *text)
 {
-    fprintf(stderr, "%s%s: %s%s\n", c->progress_shown ? "\r\033[K" : "", c->tool->name, kind, text);
+    fprintf(stderr, "%s%s: %s", c->progress_shown ? "\r\033[K" : "", c->tool->name, kind);
+    cli_write_plain(stderr, text);
+    fputc('\n', stderr);
 }
 
 static void say(const cli *c, const char *format, va_list args)
@@ -75,6 +92,16 @@ void cli_info(const cli *c, const char *format, ...)
     va_start(args, format);
     say(c, format, args);
     va_end(args);
+}
+
+void cli_error(const cli *c, const char *format, ...)
+{
+    char text[1000];
+    va_list args;
+    va_start(args, format);
+    vsnprintf(text, sizeof text, format, args);
+    va_end(args);
+    cli_say(c, "error: ", text);
 }
 
 void cli_verbose(const cli *c, const char *format, ...)

@@ -17,6 +17,8 @@
 #ifndef CLI_H
 #define CLI_H
 
+#include <stdio.h>
+
 #include <jansson.h>
 
 #include "svo_base.h"
@@ -120,6 +122,11 @@ json_t *cli_text(const char *value);
 
 /* stderr, prefixed "tool: ". Info is silent under -q; verbose needs -v. */
 void cli_info(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
+/* An error beside the one that ends the run, to stderr. */
+void cli_error(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
+/* text without what a terminal would obey: control characters and bytes that are not UTF-8 become \xNN. Names of files, and those inside
+ * models, come from strangers. Messages go through it by themselves; results for people that print such names must. */
+void cli_write_plain(FILE *to, const char *text);
 void cli_verbose(const cli *c, const char *format, ...) SVO_PRINTF(2, 3);
 /* Progress on stderr with the time it took so far and the time that is left by it: at a terminal 6 times a second in place, with --progress elsewhere a line a
  * second; not under -q or --no-progress. `what` names one stretch of work; fraction < 0 = unknown. */

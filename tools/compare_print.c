@@ -22,7 +22,8 @@ static void print_place(const json_t *place)
 static void print_side(const json_t *o, const char *name)
 {
     const json_t *side = json_object_get(o, name);
-    printf("%c  %s", name[0] - 'a' + 'A', text(side, "file"));
+    printf("%c  ", name[0] - 'a' + 'A');
+    cli_write_plain(stdout, text(side, "file"));
     if (json_object_get(side, "width") != NULL) printf("  %llu x %llu pixels", count(side, "width"), count(side, "height"));
     if (json_object_get(side, "depth") != NULL)
         printf("  %s, depth %llu, %llu voxels", text(side, "format"), count(side, "depth"), count(side, "voxels"));
@@ -111,5 +112,5 @@ void compare_print(const compare_job *j)
     if (json_object_get(o, "skeleton") != NULL) print_skeleton(o);
     if (json_is_true(json_object_get(o, "identical"))) printf("identical\n");
     else if (json_array_size(j->reasons) == 0) printf("equal within tolerance\n");
-    json_array_foreach(j->reasons, i, reason) printf("differs: %s\n", json_string_value(reason));
+    json_array_foreach(j->reasons, i, reason) fputs("differs: ", stdout), cli_write_plain(stdout, json_string_value(reason)), putchar('\n');
 }

@@ -14,7 +14,7 @@ static void print_value(const json_t *v)
     switch (json_typeof(v)) {
     case JSON_INTEGER: printf("%" JSON_INTEGER_FORMAT, json_integer_value(v)); break;
     case JSON_REAL: printf("%.9g", json_real_value(v)); break;
-    case JSON_STRING: fputs(json_string_value(v), stdout); break;
+    case JSON_STRING: cli_write_plain(stdout, json_string_value(v)); break;
     case JSON_TRUE: fputs("yes", stdout); break;
     case JSON_FALSE: fputs("no", stdout); break;
     case JSON_NULL: fputs("none", stdout); break;
@@ -29,7 +29,9 @@ static void print_value(const json_t *v)
         void *at = json_object_iter((json_t *)(uintptr_t)v);
         for (; at != NULL; at = json_object_iter_next((json_t *)(uintptr_t)v, at)) {
             key = json_object_iter_key(at);
-            printf("%s%s ", first ? "" : ", ", key);
+            fputs(first ? "" : ", ", stdout);
+            cli_write_plain(stdout, key);
+            putchar(' ');
             print_value(json_object_iter_value(at));
             first = false;
         }
@@ -102,8 +104,10 @@ static void print_assets(const json_t *list)
             printf("%21s... and %zu more (--json lists them)\n", "", json_array_size(list) - LINES);
             break;
         }
-        printf("%21s%-24s %10" PRIu64 " %5" PRIu64 " %14" PRIu64 " %12" PRIu64 " ", "", json_string_value(json_object_get(e, "name")), count_of(e, "instances"), count_of(e, "depth"), count_of(e, "voxels"),
-               count_of(e, "bytes"));
+        printf("%21s", "");
+        print_value(json_object_get(e, "name"));
+        const size_t length = json_string_length(json_object_get(e, "name"));
+        printf("%*s %10" PRIu64 " %5" PRIu64 " %14" PRIu64 " %12" PRIu64 " ", length < 24 ? 24 - (int)length : 0, "", count_of(e, "instances"), count_of(e, "depth"), count_of(e, "voxels"), count_of(e, "bytes"));
         json_array_foreach(json_object_get(e, "attributes"), k, a) printf("%s%s", k == 0 ? " " : ",", json_string_value(json_object_get(a, "name")));
         putchar('\n');
     }
@@ -253,8 +257,9 @@ static void print_gist(const json_t *o)
     while (json_is_object(json_object_get(input, "provenance")) && json_array_size(json_object_get(json_object_get(input, "provenance"), "inputs")) != 0)
         input = json_array_get(json_object_get(json_object_get(input, "provenance"), "inputs"), 0);
     if (json_is_string(json_object_get(made, "tool"))) {
-        printf("  = made by %s", json_string_value(json_object_get(made, "tool")));
-        if (json_is_string(json_object_get(input, "name"))) printf(", from %s", json_string_value(json_object_get(input, "name")));
+        fputs("  = made by ", stdout);
+        print_value(json_object_get(made, "tool"));
+        if (json_is_string(json_object_get(input, "name"))) fputs(", from ", stdout), print_value(json_object_get(input, "name"));
         putchar('\n');
     }
 }
@@ -263,7 +268,8 @@ void dump_print(const dump_job *j)
 {
     const char *key;
     json_t *v;
-    printf("%s\n", json_string_value(json_object_get(j->json, "file")));
+    print_value(json_object_get(j->json, "file"));
+    putchar('\n');
     if (!json_is_true(json_object_get(j->json, "damaged"))) print_gist(j->json);
     bool skeleton = json_object_get(j->json, "joint_count") != NULL; /* has keys without meaning, for the sake of one form of JSON */
     json_object_foreach(j->json, key, v) {
@@ -288,7 +294,8 @@ void dump_print(const dump_job *j)
         } else if (strcmp(key, "provenance") == 0 && json_is_object(v)) {
             char *text = json_dumps(v, JSON_COMPACT | JSON_SORT_KEYS);
             print_label(key);
-            puts(text != NULL ? text : "");
+            cli_write_plain(stdout, text != NULL ? text : "");
+            putchar('\n');
             free(text);
         } else {
             print_label(key);
@@ -320,5 +327,7 @@ void dump_print_row(const json_t *json)
     printf("%12" PRIu64 " ", count_of(json, "bytes"));
     if (json_is_number(json_object_get(json, "bytes_per_voxel"))) printf("%9.3f  ", json_number_value(json_object_get(json, "bytes_per_voxel")));
     else printf("%9s  ", "");
-    printf("%-30s %s\n", attributes, json_string_value(json_object_get(json, "file")));
+    printf("%-30s ", attributes);
+    print_value(json_object_get(json, "file"));
+    putchar('\n');
 }

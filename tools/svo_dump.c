@@ -72,9 +72,9 @@ static void print_messages(const dump_job *j, const json_t *messages, uint64_t s
     size_t i;
     json_array_foreach(messages, i, m) {
         const char *text = json_string_value(json_object_get(m, "message"));
-        if (strstr(known, text) == NULL) fprintf(stderr, "%s: error: %.100s: %s\n", j->c->tool->name, strcmp(j->path, "-") == 0 ? "stdin" : j->path, text);
+        if (strstr(known, text) == NULL) cli_error(j->c, "%.100s: %s", strcmp(j->path, "-") == 0 ? "stdin" : j->path, text);
     }
-    if (suppressed != 0) fprintf(stderr, "%s: error: %.100s: %llu more\n", j->c->tool->name, j->path, (unsigned long long)suppressed);
+    if (suppressed != 0) cli_error(j->c, "%.100s: %llu more", j->path, (unsigned long long)suppressed);
 }
 
 typedef struct dump_options { bool json, validate, quick, partial, table, has_tree, histogram; uint64_t tree; const char *voxels, *source, *html; uint64_t limit, html_size; dump_export export; int volume; } dump_options;
@@ -103,11 +103,11 @@ static svo_result run(cli *c, const dump_options *o, svo_error *err)
         if (o->validate && !o->json && r != SVO_OK) print_messages(&j, messages, suppressed, e.message);
         if (r != SVO_OK) {
             if (first == SVO_OK) first = r, *err = e;
-            else fprintf(stderr, "%s: error: %s\n", c->tool->name, e.message);
+            else cli_error(c, "%s", e.message);
         }
         if (o->validate && o->json) json_array_append_new(all, verdict(&j, r, messages, suppressed));
         else if ((r == SVO_OK || left) && o->json) json_array_append(all, j.json);
-        else if (r == SVO_OK && o->validate) printf("%s: valid\n", strcmp(j.path, "-") == 0 ? "stdin" : j.path);
+        else if (r == SVO_OK && o->validate) cli_write_plain(stdout, strcmp(j.path, "-") == 0 ? "stdin" : j.path), puts(": valid");
         else if ((r == SVO_OK || left) && o->table) dump_print_row(j.json);
         else if ((r == SVO_OK || left) && text) dump_print(&j);
         if (r == SVO_OK) json_object_set(cli_section(c, "input"), strcmp(j.path, "-") == 0 ? "stdin" : j.path, j.json);
