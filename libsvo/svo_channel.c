@@ -79,6 +79,13 @@ void svo_oct32_decode(const uint8_t in[4], float n[3])
     for (int i = 0; i < 3; i++) n[i] = (float)d[i];
 }
 
+/* Rounded down, of what an int32_t can hold: no call to a library where the machine has no instruction for it. */
+static inline double below(double x)
+{
+    const double whole = (double)(int32_t)x;
+    return whole - (double)(whole > x);
+}
+
 void svo_oct32_encode(const float n[3], uint8_t out[4])
 {
     double x = n[0], y = n[1], z = n[2];
@@ -90,7 +97,8 @@ void svo_oct32_encode(const float n[3], uint8_t out[4])
             double a = (1 - fabs(v)) * (u < 0 ? -1 : 1), b = (1 - fabs(u)) * (v < 0 ? -1 : 1);
             u = a, v = b;
         }
-        double fu = fmin(floor(u * 32767), 32766), fv = fmin(floor(v * 32767), 32766);
+        double fu = below(u * 32767), fv = below(v * 32767);
+        fu = fu < 32766 ? fu : 32766, fv = fv < 32766 ? fv : 32766;
         /* Squared cosine of each of the four, whose vectors are 32767 times as long before they are made unit vectors. No branches: their
          * outcomes would be random. */
         double score[4];

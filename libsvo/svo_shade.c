@@ -282,7 +282,7 @@ void svo_facet_make(const svo_shader *s, uint32_t group, uint64_t local, const d
     if (!out->inside) {
         /* A little beside the planes of the grid, to the side that the snap prefers, and unequally, so that neither edges nor the
          * lines where the plane passes a layer coincide with sides of voxels, not even in models built of integers. */
-        const double nudge[3] = {1e-4, 1.37e-4, 0.73e-4}, top = ldexp(1, (int)s->grid.depth) - 1;
+        const double nudge[3] = {1e-4, 1.37e-4, 0.73e-4}, top = (double)(((uint64_t)1 << s->grid.depth) - 1);
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++) c[i][k] += c[i][k] + block[k] > top ? -nudge[k] : nudge[k];
         out->clips = svoi_clipper_make(&out->clipper, (const double(*)[3])c);

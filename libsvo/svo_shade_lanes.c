@@ -24,6 +24,10 @@ void svoi_lanes_place(const svo_facet *t, svoi_lanes *l)
 {
     const uint32_t n = rounded(l->count), x = (t->axis + 1) % 3, y = (t->axis + 2) % 3, z = t->axis;
     for (uint32_t i = l->count; i < n; i++) l->code[i] = l->code[0];
+    if (svoi_clip_has_wide()) {
+        svoi_wide_place(x, y, z, l);
+        return;
+    }
     for (uint32_t i = 0; i < n; i++) {
         l->clip.x[i] = (float)(int32_t)compact(l->code[i] >> x);
         l->clip.y[i] = (float)(int32_t)compact(l->code[i] >> y);
@@ -295,6 +299,8 @@ static inline void quantize_normals(const float *v, uint32_t n, int32_t *out)
     for (uint32_t i = 0; i < n; i++) out[i] = (int32_t)floorf(v[i] * 32767 + 0.5f);
 }
 
+enum { WIDE_FIELDS = 9 }; /* as many as the vector code adds to: 5 or 9 */
+
 void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint32_t shift, uint64_t *sums)
 {
     const svo_shade_layout *layout = &s->layout;
@@ -355,10 +361,32 @@ void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint
     }
 }
 
+/* What a weight of one adds to each sum, where nothing is transparent. */
+static void find_factors(const svo_shade_layout *layout, const svo_contribution *c, int32_t factor[WIDE_FIELDS])
+{
+    factor[layout->sum_weight] = 1;
+    if (layout->color < SVO_MAX_CHANNELS) {
+        factor[layout->sum_color] = 1;
+        for (uint32_t k = 0; k < 3; k++) factor[layout->sum_color + 1 + k] = c->color[k];
+    }
+    for (uint32_t k = 0; layout->normal < SVO_MAX_CHANNELS && k < 3; k++) factor[layout->sum_normal + k] = c->normal[k];
+    for (uint32_t k = 0; layout->emissive < SVO_MAX_CHANNELS && k < 3; k++) factor[layout->sum_emissive + k] = c->emissive[k];
+    if (layout->metallic < SVO_MAX_CHANNELS) factor[layout->sum_metallic] = c->metallic;
+    if (layout->roughness < SVO_MAX_CHANNELS) factor[layout->sum_roughness] = c->roughness;
+    if (layout->coverage < SVO_MAX_CHANNELS) factor[layout->sum_coverage] = 65535;
+}
+
 void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution *c, const svoi_lanes *l, uint32_t shift, uint64_t *sums)
 {
     uint32_t weight[SVOI_LANES], fields = layout->fields;
     find_weights(l, shift, weight);
+    if ((fields == 5 || fields == WIDE_FIELDS) && c->alpha == 1 && svoi_clip_has_wide()) {
+        int32_t factor[WIDE_FIELDS] = {0};
+        const bool normals = layout->normal < SVO_MAX_CHANNELS;
+        find_factors(layout, c, factor);
+        svoi_wide_add_flat(weight, l->target, l->count, fields, factor, normals ? layout->sum_normal + 3 : fields, normals ? direction_key(c->normal) : 0, sums);
+        return;
+    }
     for (uint32_t i = 0; i < l->count; i++) {
         uint64_t *v = sums + (uint64_t)l->target[i] * fields, w = weight[i];
         v[layout->sum_weight] += w;

@@ -24,6 +24,22 @@ uint32_t svoi_wide_expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_
     return positions(bits, brick << 6, n, code);
 }
 
+void svoi_wide_codes(const svo_block *b, const uint32_t *codes, uint32_t count, svoi_lanes *shared, svoi_lanes *alone)
+{
+    uint32_t n = shared->count, m = alone->count;
+    const uint64_t *const words[2] = {b->bricks, b->complex};
+    const uint32_t *const ranks[2] = {b->rank, b->complex_rank};
+    for (uint32_t i = 0; i < count; i++) { /* gathers are slower */
+        const uint32_t code = codes[i], brick = code >> 6, bit = code & 63, met = b->complex[brick] >> bit & 1;
+        shared->code[n] = alone->code[m] = code;
+        shared->target[n] = alone->target[m] = ranks[met][brick] + (uint32_t)__builtin_popcountll(_bzhi_u64(words[met][brick], bit));
+        n += met;
+        m += met ^ 1;
+    }
+    shared->count = n;
+    alone->count = m;
+}
+
 void svoi_wide_write(const svo_shade_layout *layout, const svoi_values *v, uint64_t bits, uint64_t among, uint32_t rank, uint8_t *const channels[SVO_MAX_CHANNELS])
 {
     const uint64_t set = _pext_u64(bits, among);
@@ -218,7 +234,48 @@ void svoi_wide_add(const uint32_t *weight, const uint32_t *target, uint32_t coun
         }
     }
 }
+
+/* Neither loads nor stores reach into the next voxel's sums: what follows would have to wait for them. */
+void svoi_wide_add_flat(const uint32_t *weight, const uint32_t *target, uint32_t count, uint32_t fields, const int32_t *factor, uint32_t key_field, uint64_t direction, uint64_t *sums)
+{
+    const __mmask8 key_lane = key_field < fields ? (__mmask8)(1u << (key_field - 1)) : 0;
+    const __m512i by = _mm512_cvtepi32_epi64(_mm256_loadu_si256((const __m256i *)(const void *)(factor + 1)));
+    for (uint32_t i = 0; i < count; i++) {
+        uint64_t *to = sums + (uint64_t)fields * target[i];
+        const uint64_t w = weight[i], key = w << 36 | direction;
+        to[0] += w;
+        if (fields == 5) {
+            const __m256i old = _mm256_loadu_si256((const __m256i *)(const void *)(to + 1)), sum = _mm256_add_epi64(old, _mm256_mul_epi32(_mm512_castsi512_si256(by), _mm256_set1_epi64x((int64_t)w)));
+            _mm256_storeu_si256((__m256i *)(void *)(to + 1), _mm256_mask_max_epu64(sum, key_lane, old, _mm256_set1_epi64x((int64_t)key)));
+        } else {
+            const __m512i old = _mm512_loadu_si512(to + 1), sum = _mm512_add_epi64(old, _mm512_mul_epi32(by, _mm512_set1_epi64((int64_t)w)));
+            _mm512_storeu_si512(to + 1, _mm512_mask_max_epu64(sum, key_lane, old, _mm512_set1_epi64((int64_t)key)));
+        }
+    }
+}
+
+void svoi_wide_place(uint32_t x, uint32_t y, uint32_t z, svoi_lanes *l)
+{
+    for (uint32_t i = 0; i < l->count; i += 16) {
+        const __m512i code = _mm512_loadu_si512(l->code + i);
+        _mm512_storeu_ps(l->clip.x + i, _mm512_cvtepi32_ps(compact(_mm512_srli_epi32(code, x))));
+        _mm512_storeu_ps(l->clip.y + i, _mm512_cvtepi32_ps(compact(_mm512_srli_epi32(code, y))));
+        _mm512_storeu_ps(l->clip.z + i, _mm512_cvtepi32_ps(compact(_mm512_srli_epi32(code, z))));
+    }
+}
 #else /* never called: svoi_clip_has_wide says so */
+void svoi_wide_add_flat(const uint32_t *weight, const uint32_t *target, uint32_t count, uint32_t fields, const int32_t *factor, uint32_t key_field, uint64_t direction, uint64_t *sums)
+{
+    (void)weight, (void)target, (void)count, (void)fields, (void)factor, (void)key_field, (void)direction, (void)sums;
+}
+void svoi_wide_codes(const svo_block *b, const uint32_t *codes, uint32_t count, svoi_lanes *shared, svoi_lanes *alone)
+{
+    (void)b, (void)codes, (void)count, (void)shared, (void)alone;
+}
+void svoi_wide_place(uint32_t x, uint32_t y, uint32_t z, svoi_lanes *l)
+{
+    (void)x, (void)y, (void)z, (void)l;
+}
 uint32_t svoi_wide_expand(uint64_t bits, uint64_t among, uint32_t brick, uint32_t rank, uint32_t n, uint32_t *code, uint32_t *target)
 {
     (void)bits, (void)among, (void)brick, (void)rank, (void)code, (void)target;

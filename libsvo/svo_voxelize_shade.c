@@ -306,6 +306,12 @@ static void shade_codes(svoi_scan *s, const uint32_t *codes, uint32_t count)
     const svo_block *b = s->w->block;
     svoi_lanes *shared = &s->shared, *alone = &s->alone;
     const uint64_t begin = s->slice_begin, size = s->slice_end - begin;
+    for (uint32_t at = 0; s->wide && s->one_slice && at < count; at += SVOI_LANES) {
+        svoi_wide_codes(b, codes + at, count - at < SVOI_LANES ? count - at : SVOI_LANES, shared, alone);
+        if (shared->count >= SVOI_LANES) flush_batch(s, shared, shared->count, flush_shared);
+        if (alone->count >= SVOI_LANES) flush_batch(s, alone, alone->count, flush_alone);
+    }
+    if (s->wide && s->one_slice) return;
     for (uint32_t at = 0; at < count;) {
         const uint32_t stop = count - at < SVOI_LANES ? count : at + SVOI_LANES;
         uint32_t n = shared->count, m = alone->count, last = m;
@@ -413,12 +419,39 @@ static svo_result shade_materials(svoi_scan *s, const int32_t box_lo[3], const i
     }
 }
 
+/* Averages of voxels that all are in one slice, a brick at a time. */
+static void write_bricks(svoi_scan *s)
+{
+    const svo_block *b = s->w->block;
+    const uint32_t fields = s->layout->fields;
+    const uint64_t *sums = s->sums;
+    svoi_lanes *l = &s->shared;
+    l->count = 0;
+    for (uint32_t i = 0; i < 512; i++)
+        for (uint64_t used = b->used[i]; used != 0; used &= used - 1) {
+            const uint32_t brick = i * 64 + (uint32_t)__builtin_ctzll(used);
+            if (b->complex[brick] == 0) continue;
+            l->count = expand(s, b->complex[brick], b->bricks[brick], brick, b->rank[brick], l->count, l->code, l->target);
+            if (l->count < SVOI_LANES) continue;
+            svoi_sums_write(s->layout, l, sums, l->target, SVOI_LANES, s->channels);
+            sums += (uint64_t)SVOI_LANES * fields;
+            l->count -= SVOI_LANES;
+            memcpy(l->target, l->target + SVOI_LANES, l->count * sizeof *l->target);
+        }
+    svoi_sums_write(s->layout, l, sums, l->target, l->count, s->channels);
+    l->count = 0;
+}
+
 /* Averages of the slice, in order, to where they belong. */
 static void write_slice(svoi_scan *s)
 {
     const svo_block *b = s->w->block;
     svoi_lanes *l = &s->shared;
     uint64_t done = 0; /* of the slice */
+    if (s->one_slice) {
+        write_bricks(s);
+        return;
+    }
     l->count = 0;
     for (uint32_t i = 0; i < 512; i++)
         for (uint64_t used = b->used[i]; used != 0; used &= used - 1) {

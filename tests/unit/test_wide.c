@@ -230,6 +230,87 @@ TEST(attributes_are_the_same_without)
     }
 }
 
+/* Triangles that look the same everywhere, of two materials: normals alone (sums of five), with colours (nine), and with all other channels, of which some are transparent. */
+TEST(plain_attributes_are_the_same_without)
+{
+    uint64_t seed = 12;
+    if (skipped()) return;
+    for (uint32_t round = 0; round < 24 && !test_failed(); round++) {
+        loose_mesh m;
+        svo_material materials[2] = {svo_material_default(), svo_material_default()};
+        tangle_make(&m, 150, 1, &seed);
+        if (round % 4 == 3) materials[1].alpha_mode = SVO_ALPHA_BLEND, materials[1].base_color[3] = 0.3f;
+        for (int k = 0; k < 3; k++) materials[1].base_color[k] = materials[1].emissive[k] = (float)test_random_unit(&seed);
+        materials[1].metallic = materials[1].roughness = 0.4f;
+        if (round % 2 == 0) {
+            free(m.part.normals);
+            m.part.normals = NULL;
+        }
+        svo_part parts[2] = {m.part, m.part};
+        parts[0].triangle_count = 70;
+        parts[1].triangle_count -= 70;
+        parts[1].indices += 3 * 70;
+        parts[0].material = 0, parts[1].material = 1;
+        svo_shape shape = m.mesh.shapes[0], *shapes = m.mesh.shapes;
+        shape.parts = parts;
+        shape.part_count = 2;
+        m.mesh.shapes = &shape;
+        m.mesh.materials = materials;
+        m.mesh.material_count = 2;
+        svo_voxelize_options o = svo_default_voxelize_options();
+        o.depth = 6 + round % 3;
+        o.threads = 2;
+        o.channels = SVO_WANT_NORMAL | (round % 3 > 0 ? SVO_WANT_COLOR : 0) | (round % 3 > 1 ? SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS | SVO_WANT_COVERAGE : 0);
+        voxel_set with, without;
+        svo_error err;
+        CHECK_OK(voxel_run(&m.mesh, &o, false, &with, &err));
+        svoi_clip_hold_back(true);
+        CHECK_OK(voxel_run(&m.mesh, &o, false, &without, &err));
+        svoi_clip_hold_back(false);
+        CHECK_MSG(with.hash == without.hash && with.counts.nodes[o.depth] > 1000, "round %u, %llu voxels", round, (unsigned long long)with.counts.nodes[o.depth]);
+        voxel_free(&with);
+        voxel_free(&without);
+        m.mesh.shapes = shapes;
+        loose_free(&m);
+    }
+}
+
+/* Codes go to those that are averaged and to the others, in order, with their numbers. */
+TEST(codes_are_sorted_as_one_by_one)
+{
+    uint64_t seed = 21;
+    if (skipped()) return;
+    svo_block *b = calloc(1, sizeof *b);
+    svoi_lanes *lanes = calloc(2, sizeof *lanes);
+    for (int round = 0; round < 500; round++) {
+        uint32_t codes[SVOI_LANES], bricks[8], count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
+        for (int k = 0; k < 8; k++) {
+            const uint32_t brick = bricks[k] = (uint32_t)test_random(&seed) % SVO_BLOCK_BRICKS;
+            b->bricks[brick] = random_bits(&seed) | 1;
+            b->complex[brick] = b->bricks[brick] & random_bits(&seed);
+            b->rank[brick] = (uint32_t)test_random(&seed) % 100000;
+            b->complex_rank[brick] = (uint32_t)test_random(&seed) % 100000;
+        }
+        for (uint32_t i = 0; i < count; i++) {
+            const uint32_t brick = bricks[test_random(&seed) % 8];
+            uint32_t bit = (uint32_t)test_random(&seed) % 64;
+            while (!(b->bricks[brick] >> bit & 1)) bit = (bit + 1) % 64;
+            codes[i] = brick << 6 | bit;
+        }
+        uint32_t n[2];
+        for (int k = 0; k < 2; k++) n[k] = lanes[k].count = (uint32_t)test_random(&seed) % SVOI_LANES;
+        svoi_wide_codes(b, codes, count, &lanes[0], &lanes[1]);
+        for (uint32_t i = 0; i < count; i++) {
+            const bool met = b->complex[codes[i] >> 6] >> (codes[i] & 63) & 1;
+            const uint32_t number = met ? svo_block_complex_index(b, codes[i]) : svo_block_index(b, codes[i]), at = n[!met]++;
+            CHECK(lanes[!met].code[at] == codes[i] && lanes[!met].target[at] == number);
+        }
+        CHECK(lanes[0].count == n[0] && lanes[1].count == n[1]);
+    }
+    free(b);
+    free(lanes);
+}
+
 TEST(bytes_are_read_as_the_numbers_they_stand_for)
 {
     static uint8_t pixels[4 * WIDTH * HEIGHT], halves[2][256];
