@@ -7,7 +7,7 @@
 #include "skeli_surface.h"
 #include "svo_task.h"
 
-enum { RAYS = SKELI_CIRCLE, RAY_SAMPLES = 1500, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000 };
+enum { RAYS = SKELI_CIRCLE, RAY_SAMPLES = 600, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000, BLOCK = 64 };
 #define SPACING 0.004 /* units */
 
 typedef struct sample { double at[3], along[3], length, radius, off; bool inside; } sample;
@@ -18,6 +18,7 @@ typedef struct measuring {
     sample *samples;
     uint64_t count, ray_step, vertex_step;
     double *gap; /* of each vertex_step-th vertex of the mesh to the balls */
+    uint32_t *near; /* of each worker: numbers of samples */
 } measuring;
 
 static double off_centre(const skeli_surface *s, const sample *p)
@@ -48,22 +49,54 @@ static svo_result look(void *user, uint64_t begin, uint64_t end, uint32_t worker
     return SVO_OK;
 }
 
+/* Samples whose balls could be nearest to one of the vertices first, first + 1 .. (every vertex_step-th of the mesh): vertices lie together, in Morton order, so most samples are refused for
+ * all of them at once. */
+static uint64_t near_samples(const measuring *m, uint64_t first, uint64_t count, uint32_t *near)
+{
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY}, middle[3], reach2 = 0, best = INFINITY;
+    for (uint64_t i = first; i < first + count; i++)
+        for (int k = 0; k < 3; k++) {
+            const double x = m->mesh->position[3 * i * m->vertex_step + (uint64_t)k];
+            low[k] = x < low[k] ? x : low[k];
+            high[k] = x > high[k] ? x : high[k];
+        }
+    for (int k = 0; k < 3; k++) {
+        middle[k] = (low[k] + high[k]) / 2;
+        reach2 += (high[k] - middle[k]) * (high[k] - middle[k]);
+    }
+    const double reach = sqrt(reach2);
+    uint64_t found = 0;
+    for (int pass = 0; pass < 2; pass++) {
+        const double most = fmax(best, 0) + 2 * reach + 1 + 1e-6 * reach; /* a ball that covers the middle may not cover all; a lattice step of slack for rounding */
+        for (uint64_t k = 0; k < m->count; k++) {
+            const sample *p = &m->samples[k];
+            const double x = middle[0] - p->at[0], y = middle[1] - p->at[1], z = middle[2] - p->at[2], d2 = x * x + y * y + z * z, r = p->inside ? p->radius : 0;
+            if (pass == 0 && d2 < (best + r) * (best + r) && best + r > 0) best = sqrt(d2) - r;
+            if (pass == 1 && d2 <= (most + r) * (most + r)) near[found++] = (uint32_t)k;
+        }
+    }
+    return found;
+}
+
 static svo_result gaps(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
-    (void)worker;
     (void)err;
     measuring *m = user;
-    for (uint64_t i = begin; i < end; i++) {
-        const int32_t *q = m->mesh->position + 3 * i * m->vertex_step;
-        double best = INFINITY;
-        for (uint64_t k = 0; k < m->count && best > 0; k++) {
-            const sample *p = &m->samples[k];
-            double x = q[0] - p->at[0], y = q[1] - p->at[1], z = q[2] - p->at[2], d2 = x * x + y * y + z * z, r = p->inside ? p->radius : 0;
-            if (d2 >= (best + r) * (best + r)) continue;
-            double d = sqrt(d2) - r;
-            best = d > 0 ? d : 0;
+    uint32_t *near = m->near + worker * m->count;
+    for (uint64_t first = begin; first < end; first += BLOCK) {
+        const uint64_t count = end - first < BLOCK ? end - first : BLOCK, samples = near_samples(m, first, count, near);
+        for (uint64_t i = first; i < first + count; i++) {
+            const int32_t *q = m->mesh->position + 3 * i * m->vertex_step;
+            double best = INFINITY;
+            for (uint64_t k = 0; k < samples && best > 0; k++) {
+                const sample *p = &m->samples[near[k]];
+                double x = q[0] - p->at[0], y = q[1] - p->at[1], z = q[2] - p->at[2], d2 = x * x + y * y + z * z, r = p->inside ? p->radius : 0;
+                if (d2 >= (best + r) * (best + r)) continue;
+                double d = sqrt(d2) - r;
+                best = d > 0 ? d : 0;
+            }
+            m->gap[i] = best;
         }
-        m->gap[i] = best;
     }
     return SVO_OK;
 }
@@ -148,9 +181,11 @@ static svo_result balls(skeli_pool *pool, measuring *m, double diagonal, uint32_
     const uint64_t n = m->mesh->vertex_count;
     m->vertex_step = n / SURFACE_SAMPLES + 1;
     uint64_t count = (n + m->vertex_step - 1) / m->vertex_step;
+    if (threads == 0) threads = svo_processor_count();
     m->gap = skeli_take(pool, count, sizeof *m->gap);
+    m->near = skeli_take(pool, threads * m->count, sizeof *m->near);
     double *position = skeli_take(pool, 3 * n, sizeof *position), *ring = skeli_take(pool, n, sizeof *ring), sum = 0, total = 0;
-    if (m->gap == NULL || position == NULL || ring == NULL) return skeli_no_memory(err);
+    if (m->gap == NULL || m->near == NULL || position == NULL || ring == NULL) return skeli_no_memory(err);
     for (uint64_t i = 0; i < 3 * n; i++) position[i] = m->mesh->position[i];
     skeli_rings(m->mesh, position, ring);
     SVO_TRY(svo_parallel_for(threads, count, 256, gaps, m, err));
@@ -163,6 +198,7 @@ static svo_result balls(skeli_pool *pool, measuring *m, double diagonal, uint32_
     q->balls_mean = total > 0 ? sum / total * percent : 0;
     q->balls_max *= percent;
     skeli_give(pool, m->gap);
+    skeli_give(pool, m->near);
     skeli_give(pool, position);
     skeli_give(pool, ring);
     return SVO_OK;

@@ -4,7 +4,9 @@
 #include <math.h>
 #include <string.h>
 
-enum { LEAF = 4, GRID_DEPTH = 12 /* 2^20 lattice steps over two units */ };
+enum { LEAF = 4, SLAB_LEVELS = 5, GRID_DEPTH = 12 /* 2^20 lattice steps over two units */ };
+
+#define SLAB_SLACK 16.0 /* lattice steps: more than what rounding of normals and planes to floats makes of a distance */
 
 /* --- tree --------------------------------------------------------------------------------------------------------- */
 
@@ -16,18 +18,64 @@ static void grow(float *box, const float *p)
     }
 }
 
+static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static void load(const skeli_soup *soup, uint64_t t, double p[3][3])
+{
+    for (uint64_t k = 0; k < 3; k++)
+        for (uint64_t e = 0; e < 3; e++) p[k][e] = soup->position[3 * (uint64_t)soup->corner[3 * t + k] + e];
+}
+
+/* Twice the area along the normal. */
+static void area_normal(const double p[3][3], double n[3])
+{
+    for (int k = 0; k < 3; k++) {
+        const int i = (k + 1) % 3, j = (k + 2) % 3;
+        n[k] = (p[1][i] - p[0][i]) * (p[2][j] - p[0][j]) - (p[1][j] - p[0][j]) * (p[2][i] - p[0][i]);
+    }
+}
+
+/* Two planes across the mean normal of the triangles of a node, which lie between them. A piece of surface is thin along its normal and not along the axes: from the middle of a limb, where all of its surface is nearly
+ * as far away, boxes alone would leave hundreds of triangles to look at. */
+static void make_slab(const skeli_soup *soup, uint64_t begin, uint64_t end, float slab[5])
+{
+    double n[3] = {0, 0, 0}, p[3][3], low = INFINITY, high = -INFINITY;
+    for (uint64_t t = begin; t < end; t++) {
+        double x[3];
+        load(soup, t, p);
+        area_normal((const double(*)[3])p, x);
+        const double side = dot3(x, n) < 0 ? -1 : 1; /* directions of triangles may disagree */
+        for (int k = 0; k < 3; k++) n[k] += side * x[k];
+    }
+    const double length = sqrt(dot3(n, n));
+    for (int k = 0; k < 3; k++) slab[k] = length > 0 ? (float)(n[k] / length) : k == 0;
+    const double m[3] = {slab[0], slab[1], slab[2]}; /* as it was rounded */
+    for (uint64_t t = begin; t < end; t++) {
+        load(soup, t, p);
+        for (int k = 0; k < 3; k++) {
+            const double at = dot3(m, p[k]);
+            low = at < low ? at : low;
+            high = at > high ? at : high;
+        }
+    }
+    slab[3] = (float)(low - SLAB_SLACK);
+    slab[4] = (float)(high + SLAB_SLACK);
+}
+
 static svo_result make_tree(skeli_pool *pool, skeli_surface *s, svo_error *err)
 {
-    uint64_t n = (s->soup->triangle_count + LEAF - 1) / LEAF, nodes = 0;
+    uint64_t n = (s->soup->triangle_count + LEAF - 1) / LEAF, nodes = 0, slabs = 0;
     s->levels = 0;
     while (n > 0) {
         s->first[s->levels] = nodes;
         s->size[s->levels++] = n;
         nodes += n;
+        if (s->levels <= SLAB_LEVELS) slabs = nodes;
         n = n > 1 ? (n + 1) / 2 : 0;
     }
     s->box = skeli_take(pool, 6 * nodes, sizeof *s->box);
-    if (s->box == NULL) return skeli_no_memory(err);
+    s->slab = skeli_take(pool, 5 * slabs, sizeof *s->slab);
+    if (s->box == NULL || s->slab == NULL) return skeli_no_memory(err);
     for (uint64_t i = 0; i < 6 * nodes; i++) s->box[i] = i % 6 < 3 ? INFINITY : -INFINITY;
     for (uint64_t t = 0; t < s->soup->triangle_count; t++)
         for (uint64_t k = 0; k < 3; k++) {
@@ -37,6 +85,11 @@ static svo_result make_tree(skeli_pool *pool, skeli_surface *s, svo_error *err)
         }
     for (uint32_t level = 1; level < s->levels; level++)
         for (uint64_t i = 0; i < s->size[level - 1]; i++) grow(s->box + 6 * (s->first[level] + i / 2), s->box + 6 * (s->first[level - 1] + i));
+    for (uint32_t level = 0; level < s->levels && level < SLAB_LEVELS; level++)
+        for (uint64_t i = 0; i < s->size[level]; i++) {
+            const uint64_t begin = (i * LEAF) << level, end = ((i + 1) * LEAF) << level;
+            make_slab(s->soup, begin, end < s->soup->triangle_count ? end : s->soup->triangle_count, s->slab + 5 * (s->first[level] + i));
+        }
     return SVO_OK;
 }
 
@@ -52,12 +105,14 @@ static double box_distance2(const float *box, const double *p)
     return d2;
 }
 
-static double dot3(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-static void load(const skeli_soup *soup, uint64_t t, double p[3][3])
+/* At least so far is a node from p. */
+static double node_distance2(const skeli_surface *s, uint32_t level, uint32_t at, const double *p)
 {
-    for (uint64_t k = 0; k < 3; k++)
-        for (uint64_t e = 0; e < 3; e++) p[k][e] = soup->position[3 * (uint64_t)soup->corner[3 * t + k] + e];
+    const double d2 = box_distance2(s->box + 6 * (s->first[level] + at), p);
+    if (level >= SLAB_LEVELS) return d2;
+    const float *slab = s->slab + 5 * (s->first[level] + at);
+    const double x = slab[0] * p[0] + slab[1] * p[1] + slab[2] * p[2], below = slab[3] - x, above = x - slab[4], d = below > above ? below : above;
+    return d > 0 && d * d > d2 ? d * d : d2;
 }
 
 /* Of a needle, whose plane is not known: the nearest point of its sides. */
@@ -123,7 +178,7 @@ double skeli_surface_clearance(const skeli_surface *s, const double p[3], double
     double best2 = most * most, least2 = least * least;
     place stack[2 * SKELI_SURFACE_LEVELS];
     int n = 0;
-    stack[n++] = (place){s->levels - 1, 0, box_distance2(s->box + 6 * s->first[s->levels - 1], p)};
+    stack[n++] = (place){s->levels - 1, 0, 0};
     while (n > 0 && best2 > least2) {
         place top = stack[--n];
         if (!(top.key < best2)) continue;
@@ -144,7 +199,8 @@ double skeli_surface_clearance(const skeli_surface *s, const double p[3], double
         for (uint32_t k = 0; k < 2; k++) {
             uint32_t at = 2 * top.at + k;
             if (at >= s->size[top.level - 1]) break;
-            child[children++] = (place){top.level - 1, at, box_distance2(s->box + 6 * (s->first[top.level - 1] + at), p)};
+            child[children] = (place){top.level - 1, at, node_distance2(s, top.level - 1, at, p)};
+            children += child[children].key < best2;
         }
         if (children == 2 && child[0].key < child[1].key) { /* the nearer one on top */
             stack[n++] = child[1];
