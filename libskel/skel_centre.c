@@ -9,6 +9,7 @@ enum { RAYS = SKELI_CIRCLE, CENTRE_STEPS = 4, END_STEPS = 6, BONE_ROUNDS = 4, MO
 #define FAR (4.0 * SKEL_LATTICE)
 #define FLAT_RAYS 2.0   /* a ray counts up to so many medians: one that runs along another limb says nothing about this one */
 #define SHARP 0.5       /* cosine of the turn that centring does not make sharper */
+#define TURNS_BACK (-0.3) /* cosine of the turn of a bone that is pulled inside */
 #define SPACE 0.5       /* of the radius: joints of a chain are at least that far apart */
 #define LONG_BONE 5.0   /* omega: straight limbs keep a joint now and then, for what is done with the bones afterwards */
 
@@ -312,10 +313,10 @@ static svo_result pull_bones_in(skeli_pool *pool, const skeli_soup *mesh, const 
         for (uint64_t b = 0; b < c->bones; b++) {
             const double *x = c->position + 3 * (uint64_t)c->bone[2 * b], *y = c->position + 3 * (uint64_t)c->bone[2 * b + 1];
             double foot, length = skeli_segment_distance(x, y, y, &foot), worst = 0, at[3] = {0, 0, 0};
-            uint32_t pieces = length / omega < 64 ? (uint32_t)(4 * length / omega) + 2 : 256;
+            uint32_t pieces = length / omega < 32 ? (uint32_t)(8 * length / omega) + 2 : 256;
             first[b] = n;
             count[b] = 0;
-            if (length < omega / 2) continue;
+            if (length < omega / 4) continue;
             for (uint32_t i = 0; i < pieces; i++) {
                 double p[3];
                 for (int k = 0; k < 3; k++) p[k] = x[k] + (y[k] - x[k]) * (i + 0.5) / pieces;
@@ -327,7 +328,7 @@ static svo_result pull_bones_in(skeli_pool *pool, const skeli_soup *mesh, const 
             }
             if (!(worst > 0) || !push_inside(s, at)) continue;
             /* not where the way would turn back: then the bone bridges a gap, and no point in between helps */
-            if (turn(x, at, y) < 0) continue;
+            if (turn(x, at, y) < TURNS_BACK) continue;
             memcpy(point + 3 * n++, at, sizeof at);
             count[b] = 1;
         }
@@ -402,5 +403,7 @@ svo_result skeli_finish(skeli_pool *pool, const skeli_soup *mesh, const skeli_su
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     SVO_TRY(skeli_relax(pool, surface, RELAX_PULLED, c, err)); /* points that were put inside lie near the surface */
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
-    return thin_chains(pool, mesh, surface, omega, false, c, err);
+    SVO_TRY(thin_chains(pool, mesh, surface, omega, false, c, err));
+    SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
+    return skeli_fit(pool, mesh, surface, omega, c, err);
 }
