@@ -35,7 +35,9 @@ INLINE int prepare_one(const svo_rays *r, const svo_ray *ray, bool lod, double s
     for (int k = 0; k < 3; k++) {
         const bool entering = near[k] >= t;
         int32_t q = entering ? (d[k] < 0 ? high_side[k] - 1 : low_side[k]) : (int32_t)__builtin_fma(d[k], t, o[k]);
-        if (!entering && ((q + 1) & unit_mask) <= 1) return 2;
+        const bool exact = !entering && t == 0 && q == o[k]; /* nothing has been rounded: on a plane it is in the cell before it */
+        if (!entering && !exact && ((q + 1) & unit_mask) <= 1) return 2;
+        q -= exact && d[k] < 0;
         b->in.o[k][to] = o[k], b->in.d[k][to] = d[k], b->in.inv[k][to] = inv[k], b->in.q[k][to] = q;
     }
     b->in.t[to] = t, b->in.t_max[to] = ray->t_max;

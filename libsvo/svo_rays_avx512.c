@@ -102,7 +102,10 @@ INLINE bool prepare(const svo_rays *r, bool lod, const svo_ray *rays, uint32_t c
             entering[k] = _mm512_cmp_pd_mask(near[k], t, _CMP_GE_OQ);
             q[k] = _mm512_cvttpd_epi32(_mm512_fmadd_pd(d[k], t, o[k]));
             __m256i edge = _mm256_and_si256(_mm256_add_epi32(q[k], one_i), unit_mask);
-            doubt |= _mm256_mask_cmple_epu32_mask(meets & (__mmask8)~entering[k], edge, one_i);
+            /* at t = 0 the ray is at its origin; where that is a whole number of units, nothing has been rounded: on a plane it is in the cell before it */
+            const __mmask8 exact = _mm512_mask_cmp_pd_mask(_mm512_cmp_pd_mask(t, zero, _CMP_EQ_OQ), _mm512_cvtepi32_pd(q[k]), o[k], _CMP_EQ_OQ);
+            doubt |= _mm256_mask_cmple_epu32_mask(meets & (__mmask8)~(entering[k] | exact), edge, one_i);
+            q[k] = _mm256_mask_sub_epi32(q[k], exact & negative[k], q[k], one_i);
             __m256i side = _mm256_mask_mov_epi32(_mm256_set1_epi32(low_side[k]), negative[k], _mm256_set1_epi32(high_side[k] - 1));
             q[k] = _mm256_mask_mov_epi32(q[k], entering[k], side);
         }

@@ -100,9 +100,10 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
 }
 
 /* Fixed-point positions of 16 rays from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such
- * a plane. Those for which it is not certain in which finest voxel they are then. */
-INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, int32_t q[3][16])
+ * a plane. Those for which it is not certain in which finest voxel they are then; with `trust`, a ray that begins there is where the list says, perhaps on a plane. */
+INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, bool trust, int32_t q[3][16])
 {
+    const uint32_t begin = trust ? wide_at_most(in, wide_load(&b->in.t[i])) : 0; /* where the ray begins its place is known */
     uint32_t doubt = 0;
     for (int k = 0; k < 3; k++) {
         const uint32_t through = wide_at_most(in, plane[k]);
@@ -110,6 +111,7 @@ INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wid
             _mm_store_si128((__m128i *)&q[k][4 * h], _mm256_cvttpd_epi32(_mm256_fmadd_pd(_mm256_loadu_pd(&b->in.d[k][i + 4 * (uint32_t)h]), in.v[h], _mm256_loadu_pd(&b->in.o[k][i + 4 * (uint32_t)h]))));
         for (uint32_t lane = 0; lane < 16; lane++) {
             if (through >> lane & 1) q[k][lane] = side[k];
+            else if (begin >> lane & 1) q[k][lane] = b->in.q[k][i + lane];
             else doubt |= (uint32_t)(((q[k][lane] + 1) & unit_mask) <= 1) << lane;
         }
     }
@@ -120,7 +122,7 @@ INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wid
 INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
 {
     _Alignas(16) int32_t q[3][16];
-    const uint32_t doubt = enter_at(b, i, in, plane, side, (1 << fraction) - 1, q);
+    const uint32_t doubt = enter_at(b, i, in, plane, side, (1 << fraction) - 1, false, q);
     (void)negative;
     for (; met != 0; met &= met - 1, b->found++) {
         const uint32_t lane = (uint32_t)__builtin_ctz(met);
@@ -136,7 +138,7 @@ INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wi
 {
     _Alignas(32) double enter[16], leave[16];
     _Alignas(16) int32_t q[3][16];
-    const uint32_t doubt = enter_at(b, i, in, plane, side, unit_mask, q);
+    const uint32_t doubt = enter_at(b, i, in, plane, side, unit_mask, true, q);
     for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]), _mm256_store_pd(leave + 4 * h, t_max.v[h]);
     for (; met != 0; met &= met - 1) {
         const uint32_t lane = (uint32_t)__builtin_ctz(met), from = i + lane, to = b->starts;

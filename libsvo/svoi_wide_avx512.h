@@ -76,17 +76,20 @@ INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, co
 }
 
 /* Fixed-point positions of the 16 rays from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such a
- * plane. Those for which it is not certain in which finest voxel they are then. */
-INLINE __mmask16 enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, __m512i q[3])
+ * plane. Those for which it is not certain in which finest voxel they are then; with `trust`, a ray that begins there is where the list says, perhaps on a plane. */
+INLINE __mmask16 enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, bool trust, __m512i q[3])
 {
     const __m512i one = _mm512_set1_epi32(1);
+    const wide t = wide_load(&b->in.t[i]);
+    const __mmask16 begin = trust ? (__mmask16)wide_at_most(in, t) : 0; /* where the ray begins its place is known */
     __mmask16 doubt = 0;
     for (int k = 0; k < 3; k++) {
         wide d = wide_load(&b->in.d[k][i]), o = wide_load(&b->in.o[k][i]);
         __mmask16 through = (__mmask16)wide_at_most(in, plane[k]);
         __m256i x = _mm512_cvttpd_epi32(_mm512_fmadd_pd(d.a, in.a, o.a)), y = _mm512_cvttpd_epi32(_mm512_fmadd_pd(d.b, in.b, o.b));
         q[k] = _mm512_inserti64x4(_mm512_castsi256_si512(x), y, 1);
-        doubt |= (__mmask16)~through & _mm512_cmple_epu32_mask(_mm512_and_si512(_mm512_add_epi32(q[k], one), _mm512_set1_epi32(unit_mask)), one);
+        q[k] = _mm512_mask_loadu_epi32(q[k], begin, &b->in.q[k][i]);
+        doubt |= (__mmask16)~(through | begin) & _mm512_cmple_epu32_mask(_mm512_and_si512(_mm512_add_epi32(q[k], one), _mm512_set1_epi32(unit_mask)), one);
         q[k] = _mm512_mask_mov_epi32(q[k], through, _mm512_set1_epi32(side[k]));
     }
     return doubt;
@@ -103,7 +106,7 @@ INLINE void keep_doubt(svoi_ray_batch *b, __mmask16 m, __m512i ray)
 INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
 {
     __m512i q[3], ray = _mm512_loadu_si512(&b->in.ray[i]), face = _mm512_set1_epi32(SVO_FACE_INSIDE);
-    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, (1 << fraction) - 1, q), m = (__mmask16)met & (__mmask16)~doubt;
+    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, (1 << fraction) - 1, false, q), m = (__mmask16)met & (__mmask16)~doubt;
     if (doubt != 0) keep_doubt(b, doubt, ray);
     for (int k = 2; k >= 0; k--) face = _mm512_mask_mov_epi32(face, (__mmask16)wide_at_most(in, plane[k]), _mm512_set1_epi32(2 * k + (negative >> k & 1)));
     keep_doubles(&b->t_found[b->found], m, in);
@@ -119,7 +122,7 @@ INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, cons
 INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
     __m512i q[3], ray = _mm512_loadu_si512(&b->in.ray[i]);
-    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, unit_mask, q), m = (__mmask16)met & (__mmask16)~doubt;
+    const __mmask16 doubt = (__mmask16)met & enter_at(b, i, in, plane, side, unit_mask, true, q), m = (__mmask16)met & (__mmask16)~doubt;
     if (doubt != 0) keep_doubt(b, doubt, ray);
     uint32_t to = b->starts;
     for (int k = 0; k < 3; k++) {

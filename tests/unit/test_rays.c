@@ -209,6 +209,7 @@ TEST(rays_that_go_the_same_way)
                     right[k] = n * width * (test_random_unit(&seed) - 0.5);
                     up[k] = n * width * (test_random_unit(&seed) - 0.5);
                 }
+                if (inside && tile % 8 == 3) origin[tile % 3] = floor(origin[tile % 3]); /* on a plane of voxels, as in the middle of something symmetric */
                 if (tile % 13 == 5) forward[tile % 3] = ldexp(forward[tile % 3], -30); /* nearly along a plane */
                 if (tile % 13 == 6) forward[tile % 3] = 0, right[tile % 3] = up[tile % 3] = 0;
                 double spread = lod ? ldexp(test_random_unit(&seed), (int)(test_random(&seed) % (depths[d] + 1))) : 0;
