@@ -405,5 +405,5 @@ svo_result skeli_finish(skeli_pool *pool, const skeli_soup *mesh, const skeli_su
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
     SVO_TRY(thin_chains(pool, mesh, surface, omega, false, c, err));
     SVO_TRY(pull_bones_in(pool, mesh, surface, omega, c, err));
-    return skeli_fit(pool, mesh, surface, omega, c, err);
+    return skeli_fit(pool, mesh, surface, omega, threads, c, err);
 }

@@ -5,9 +5,10 @@
 #include <string.h>
 
 #include "skeli_curve.h"
+#include "svo_task.h"
 
 #define FAR (4.0 * SKEL_LATTICE)
-enum { VERTICES = 3000, MOST_BALLS = 16, ROUNDS = 6, MOST_CELLS = 1 << 21, MOST_DEGREE = 8 };
+enum { VERTICES = 3000, MOST_BALLS = 16, ROUNDS = 6, MOST_CELLS = 1 << 21, MOST_DEGREE = 8, SIDES = 6 };
 #define SPACING 2.0      /* balls an omega */
 #define FIRST_STEP 0.12  /* of the radius */
 #define LAST_STEP 0.014
@@ -32,7 +33,8 @@ typedef struct fitting {
     pearls *bone;
     float *gap;   /* bones * vertices: to the balls of one bone */
     float *other; /* vertices: to those of all bones but a joint's */
-    float *trial; /* vertices */
+    float *trial; /* SIDES * vertices */
+    uint32_t threads;
     const double *start; /* joints, before they moved */
     double radius;       /* of the ball around the joint that is looked at */
     double outside, length; /* of the curve */
@@ -122,15 +124,56 @@ static double anchored(const fitting *f, uint32_t joint, const double *at)
     return ANCHOR * f->scale * d * d;
 }
 
+/* A joint that may move, and where to. */
+typedef struct side { double at[3], cost, outside; pearls bone[MOST_DEGREE]; } side; /* cost: INFINITY if it may not be there */
+typedef struct moving {
+    const fitting *f;
+    uint32_t joint, degree;
+    const uint32_t *bone;
+    double outside, bent;
+    side side[SIDES];
+} moving;
+
+/* What it would cost to be at each of these places. */
+static svo_result cost_sides(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker, (void)err;
+    moving *m = user;
+    const fitting *f = m->f;
+    const skeli_curve *c = f->curve;
+    for (uint64_t s = begin; s < end; s++) {
+        side *o = &m->side[s];
+        const double *q = o->at;
+        float *trial = f->trial + s * f->vertices;
+        double more = 0;
+        o->cost = INFINITY;
+        o->outside = m->outside;
+        if (skeli_apart(q, f->start + 3 * (uint64_t)m->joint) > REACH * f->radius || !skeli_surface_inside(f->surface, q)) continue;
+        const double bends = sharpest(f, m->joint, q);
+        if (bends < SHARP && bends < m->bent) continue;
+        memcpy(trial, f->other, f->vertices * sizeof *trial);
+        for (uint32_t k = 0; k < m->degree; k++) {
+            const uint32_t bone = m->bone[k], *e = c->bone + 2 * (uint64_t)bone;
+            string_pearls(f, e[0] == m->joint ? q : c->position + 3 * (uint64_t)e[0], e[1] == m->joint ? q : c->position + 3 * (uint64_t)e[1], &f->bone[bone], &o->bone[k]);
+            o->outside += outside_of(&o->bone[k]);
+            more += o->bone[k].length - f->bone[bone].length;
+            lower(f, &o->bone[k], trial);
+        }
+        o->cost = mean(f, trial) + OUTSIDE * f->scale * (o->outside / f->length) + LENGTH * f->scale * (more / f->length) + anchored(f, m->joint, q);
+    }
+    return SVO_OK;
+}
+
 /* Is anything gained by moving a joint by `step` in one of six directions that turn with `round`? */
 static bool fit_joint(fitting *f, uint32_t joint, double step, const double turned[2])
 {
     const skeli_curve *c = f->curve;
     const uint32_t first = f->fans.start[joint], degree = f->fans.start[joint + 1] - first;
-    double *p = f->curve->position + 3 * (uint64_t)joint, along[3] = {1, 0, 0}, u[3], v[3], now, out = f->outside;
+    double *p = f->curve->position + 3 * (uint64_t)joint, along[3] = {1, 0, 0}, u[3], v[3];
     const double *a = c->position + 3 * (uint64_t)skeli_other_end(c, f->fans.bone[first], joint);
     const double *b = degree == 2 ? c->position + 3 * (uint64_t)skeli_other_end(c, f->fans.bone[first + 1], joint) : p;
     const double l = skeli_apart(a, b);
+    moving m = {.f = f, .joint = joint, .degree = degree, .bone = f->fans.bone + first, .outside = f->outside};
     for (int k = 0; k < 3 && l > 0; k++) along[k] = (b[k] - a[k]) / l;
     skeli_across(along, u, v);
     for (uint64_t i = 0; i < f->vertices; i++) f->other[i] = INFINITY;
@@ -141,48 +184,31 @@ static bool fit_joint(fitting *f, uint32_t joint, double step, const double turn
     }
     memcpy(f->trial, f->other, f->vertices * sizeof *f->trial);
     for (uint32_t k = 0; k < degree; k++) {
-        const float *gap = f->gap + f->fans.bone[first + k] * f->vertices;
+        const float *gap = f->gap + m.bone[k] * f->vertices;
         for (uint64_t i = 0; i < f->vertices; i++) f->trial[i] = gap[i] < f->trial[i] ? gap[i] : f->trial[i];
-        out -= outside_of(&f->bone[f->fans.bone[first + k]]);
+        m.outside -= outside_of(&f->bone[m.bone[k]]);
     }
-    now = mean(f, f->trial) + OUTSIDE * f->scale * (f->outside / f->length) + anchored(f, joint, p);
-    const double bent = sharpest(f, joint, p);
-    const double side[6][3] = {{turned[0], turned[1], 0}, {-turned[1], turned[0], 0}, {-turned[0], -turned[1], 0}, {turned[1], -turned[0], 0}, {0, 0, 1}, {0, 0, -1}};
-    const int sides = degree == 2 ? 4 : 6;
-    pearls best[MOST_DEGREE], tried[MOST_DEGREE];
-    double best_at[3], best_cost = now - PAYS * f->scale;
-    bool found = false;
-    for (int s = 0; s < sides; s++) {
-        double q[3], outside = out, more = 0;
-        for (int k = 0; k < 3; k++) q[k] = p[k] + step * (side[s][0] * u[k] + side[s][1] * v[k] + side[s][2] * along[k]);
-        if (skeli_apart(q, f->start + 3 * (uint64_t)joint) > REACH * f->radius || !skeli_surface_inside(f->surface, q)) continue;
-        const double bends = sharpest(f, joint, q);
-        if (bends < SHARP && bends < bent) continue;
-        memcpy(f->trial, f->other, f->vertices * sizeof *f->trial);
-        for (uint32_t k = 0; k < degree; k++) {
-            const uint32_t bone = f->fans.bone[first + k], *e = c->bone + 2 * (uint64_t)bone;
-            string_pearls(f, e[0] == joint ? q : c->position + 3 * (uint64_t)e[0], e[1] == joint ? q : c->position + 3 * (uint64_t)e[1], &f->bone[bone], &tried[k]);
-            outside += outside_of(&tried[k]);
-            more += tried[k].length - f->bone[bone].length;
-            lower(f, &tried[k], f->trial);
-        }
-        const double cost = mean(f, f->trial) + OUTSIDE * f->scale * (outside / f->length) + LENGTH * f->scale * (more / f->length) + anchored(f, joint, q);
-        if (!(cost < best_cost)) continue;
-        best_cost = cost;
-        memcpy(best_at, q, sizeof q);
-        memcpy(best, tried, degree * sizeof *best);
-        found = true;
+    double best_cost = mean(f, f->trial) + OUTSIDE * f->scale * (f->outside / f->length) + anchored(f, joint, p) - PAYS * f->scale;
+    m.bent = sharpest(f, joint, p);
+    const double way[SIDES][3] = {{turned[0], turned[1], 0}, {-turned[1], turned[0], 0}, {-turned[0], -turned[1], 0}, {turned[1], -turned[0], 0}, {0, 0, 1}, {0, 0, -1}};
+    const uint32_t sides = degree == 2 ? 4 : SIDES;
+    for (uint32_t s = 0; s < sides; s++)
+        for (int k = 0; k < 3; k++) m.side[s].at[k] = p[k] + step * (way[s][0] * u[k] + way[s][1] * v[k] + way[s][2] * along[k]);
+    svo_parallel_for(f->threads, sides, 1, cost_sides, &m, NULL); /* it cannot fail: the costs do not */
+    const side *best = NULL;
+    for (uint32_t s = 0; s < sides; s++) {
+        if (!(m.side[s].cost < best_cost)) continue;
+        best_cost = m.side[s].cost;
+        best = &m.side[s];
     }
-    if (!found) return false;
-    memcpy(p, best_at, sizeof best_at);
-    f->outside = out;
+    if (best == NULL) return false;
+    memcpy(p, best->at, sizeof best->at);
+    f->outside = best->outside;
     for (uint32_t k = 0; k < degree; k++) {
-        const uint32_t bone = f->fans.bone[first + k];
-        float *gap = f->gap + bone * f->vertices;
-        f->bone[bone] = best[k];
-        f->outside += outside_of(&best[k]);
+        float *gap = f->gap + m.bone[k] * f->vertices;
+        f->bone[m.bone[k]] = best->bone[k];
         for (uint64_t i = 0; i < f->vertices; i++) gap[i] = INFINITY;
-        lower(f, &best[k], gap);
+        lower(f, &best->bone[k], gap);
     }
     return true;
 }
@@ -200,7 +226,7 @@ static svo_result begin(skeli_pool *pool, const skeli_soup *mesh, fitting *f, sv
     f->bone = skeli_take(pool, c->bones, sizeof *f->bone);
     f->gap = skeli_take(pool, c->bones * f->vertices, sizeof *f->gap);
     f->other = skeli_take(pool, f->vertices, sizeof *f->other);
-    f->trial = skeli_take(pool, f->vertices, sizeof *f->trial);
+    f->trial = skeli_take(pool, SIDES * f->vertices, sizeof *f->trial);
     if (position == NULL || ring == NULL || f->x == NULL || f->y == NULL || f->z == NULL || f->weight == NULL || f->bone == NULL || f->gap == NULL || f->other == NULL || f->trial == NULL)
         return skeli_no_memory(err);
     for (uint64_t i = 0; i < 3 * n; i++) position[i] = mesh->position[i];
@@ -231,9 +257,9 @@ static svo_result begin(skeli_pool *pool, const skeli_soup *mesh, fitting *f, sv
     return SVO_OK;
 }
 
-svo_result skeli_fit(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err)
+svo_result skeli_fit(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err)
 {
-    fitting f = {.surface = surface, .curve = c, .spacing = omega / SPACING};
+    fitting f = {.surface = surface, .curve = c, .spacing = omega / SPACING, .threads = threads};
     if (c->bones == 0 || mesh->vertex_count == 0 || c->bones * VERTICES > MOST_CELLS) return SVO_OK;
     SVO_TRY(skeli_fans_make(pool, c, &f.fans, err));
     SVO_TRY(begin(pool, mesh, &f, err));

@@ -62,7 +62,7 @@ svo_result skeli_grow(skeli_pool *pool, const skeli_soup *mesh, const skeli_surf
 /* Joints but ends to where the curve is shortest, near the surface being far (skel_relax.c). */
 svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err);
 /* Joints to where the surface is nearer to the curve's balls (skel_fit.c). */
-svo_result skeli_fit(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, skeli_curve *c, svo_error *err);
+svo_result skeli_fit(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err);
 /* Branches of four and more bones become several of three; those of three that are joined by a bone shorter than `nearer` one. */
 svo_result skeli_split_branches(skeli_pool *pool, const skeli_surface *surface, skeli_curve *c, svo_error *err);
 svo_result skeli_merge_branches(skeli_pool *pool, const skeli_soup *mesh, double nearer, skeli_curve *c, svo_error *err);
