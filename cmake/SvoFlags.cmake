@@ -29,3 +29,11 @@ function(svo_flags target)
     target_link_options(${target} PUBLIC -fsanitize=${SVO_SANITIZE})
   endif()
 endfunction()
+
+# gcc 12 makes one instruction of products that are added and subtracted by turns (a rotation) where the processor has it, -ffp-contract=off or not, and so other last bits than other
+# compilers and processors have. It comes from vectorizing straight code; the test cli.fused finds the files.
+function(svo_unfused)
+  if(CMAKE_C_COMPILER_ID STREQUAL "GNU")
+    set_source_files_properties(${ARGN} PROPERTIES COMPILE_OPTIONS -fno-tree-slp-vectorize)
+  endif()
+endfunction()
