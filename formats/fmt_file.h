@@ -50,10 +50,10 @@ typedef struct fmt_bytes {
     int64_t modified[2]; /* seconds, nanoseconds: when it was opened; of files */
     uint64_t inode, device;
     const svo_allocator *allocator;
-    struct svo_beside *beside; /* reads the bytes on another thread (borrowed, may be NULL): waited for before they go or are said to be unchanged */
+    struct svo_async *beside; /* reads the bytes on another thread (borrowed, may be NULL): waited for before they go or are said to be unchanged */
 } fmt_bytes;
 /* Told of a file that is about to be read. It may go on reading the bytes beside; then it gives what to wait for, which lives until the file is closed. */
-typedef struct svo_beside *(*fmt_file_read_fn)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
+typedef struct svo_async *(*fmt_file_read_fn)(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
 svo_result fmt_bytes_open(const char *path, uint64_t max_bytes, const svo_allocator *a, fmt_bytes *out, svo_error *err);
 /* The same, but what cannot be mapped (a pipe) goes through an unnamed temporary file in TMPDIR and is mapped from there,
  * so that it takes no memory. */

@@ -145,7 +145,7 @@ svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *e
 svo_result fmt_bytes_unchanged(const char *path, const fmt_bytes *b, svo_error *err)
 {
     struct stat s;
-    svo_beside_wait(b->beside);
+    svo_async_wait(b->beside);
     /* Another file under the name does not matter: the one that was opened is still there. */
     if (b->inode == 0 || stat(path, &s) != 0 || (uint64_t)s.st_ino != b->inode || (uint64_t)s.st_dev != b->device) return SVO_OK;
     if ((uint64_t)s.st_size == b->size && s.st_mtim.tv_sec == b->modified[0] && s.st_mtim.tv_nsec == b->modified[1]) return SVO_OK;
@@ -161,7 +161,7 @@ void fmt_bytes_forget(const void *bytes, uint64_t size)
 void fmt_bytes_close(fmt_bytes *b)
 {
     if (b == NULL || b->data == NULL) return;
-    svo_beside_wait(b->beside);
+    svo_async_wait(b->beside);
     if (b->mapped) munmap((void *)(uintptr_t)b->data, (size_t)b->size);
     else svo_free(b->allocator, (void *)(uintptr_t)b->data, b->capacity, 1);
     memset(b, 0, sizeof *b);

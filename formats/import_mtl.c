@@ -317,12 +317,6 @@ static svo_result read_term(mtl_parser *t, const char *p, const char *end, svo_e
     return SVO_OK;
 }
 
-static const char *line_end(const char *p, const char *end)
-{
-    const char *stop = memchr(p, '\n', (size_t)(end - p));
-    return stop != NULL ? stop : end;
-}
-
 /* All images at a time, before the lines that name them are looked at one by one. */
 static svo_result read_images(const mtl_parser *of, const char *p, const char *end, svo_error *err)
 {
@@ -334,7 +328,7 @@ static svo_result read_images(const mtl_parser *of, const char *p, const char *e
     svo_buffer_init(&wishes, a);
     svo_result r = SVO_OK;
     for (bool in_material = false; p < end && r == SVO_OK;) {
-        const char *stop = line_end(p, end), *q = import_skip_blank(p, stop);
+        const char *stop = import_line_end(p, end), *q = import_skip_blank(p, stop);
         in_material |= import_word_nocase(q, stop, "newmtl") != NULL;
         const map_kind kind = in_material ? map_line(&t, &q, stop) : MAP_NONE;
         map_options o;
@@ -362,7 +356,7 @@ svo_result mtl_read(mtl_set *set, const import_context *c, const uint8_t *bytes,
     if (size >= 3 && memcmp(p, "\xef\xbb\xbf", 3) == 0) p += 3;
     if (c->pager == NULL) SVO_TRY(read_images(&t, p, end, err));
     while (p < end) {
-        const char *stop = line_end(p, end);
+        const char *stop = import_line_end(p, end);
         const char *q = import_skip_blank(p, stop);
         if (q < stop && *q != '#') SVO_TRY(read_term(&t, q, stop, err));
         p = stop < end ? stop + 1 : end;

@@ -45,12 +45,6 @@ static bool is_row(const point_rows *rows, const char *p, const char *end)
     return count_words(p, end, 2) == 2;
 }
 
-static const char *line_end(const char *p, const char *end)
-{
-    const char *stop = memchr(p, '\n', (size_t)(end - p));
-    return stop != NULL ? stop : end;
-}
-
 /* --- columns --- */
 
 static svo_result asked_columns(point_rows *rows, const char *asked, svo_error *err)
@@ -105,7 +99,7 @@ svo_result import_points_columns(point_rows *rows, const char *path, const uint8
         uint64_t count = 0;
         uint32_t columns = 0;
         for (const char *p = (const char *)data, *end = p + size; p < end && count < GUESS_ROWS;) {
-            const char *stop = line_end(p, end), *q = p;
+            const char *stop = import_line_end(p, end), *q = p;
             const bool row = is_row(rows, p, stop);
             p = stop < end ? stop + 1 : end;
             if (!row) continue;
@@ -153,7 +147,7 @@ static svo_result count_rows(void *user, uint64_t begin, uint64_t end, uint32_t 
     for (uint64_t i = begin; i < end; i++) {
         piece *p = &j->pieces[i];
         for (const char *q = p->begin, *stop; q < p->end; q = stop < p->end ? stop + 1 : p->end) {
-            stop = line_end(q, p->end);
+            stop = import_line_end(q, p->end);
             p->rows += is_row(j->rows, q, stop);
         }
     }
@@ -185,7 +179,7 @@ static svo_result read_rows(void *user, uint64_t begin, uint64_t end, uint32_t w
         const piece *p = &j->pieces[i];
         uint64_t row = p->first;
         for (const char *q = p->begin, *stop; q < p->end && row < j->most; q = stop < p->end ? stop + 1 : p->end) {
-            stop = line_end(q, p->end);
+            stop = import_line_end(q, p->end);
             if (!is_row(j->rows, q, stop)) continue;
             if (!read_row(j->rows, q, stop, &j->out[row++]))
                 return svo_fail(err, SVO_INVALID_DATA, "%s: byte %llu: a line that is not a point of %u numbers", j->path, (unsigned long long)(q - j->base), j->rows->column_count);
@@ -205,7 +199,7 @@ svo_result import_points_text(const point_rows *rows, const char *path, const ui
             piece *n = &j.pieces[count];
             n->rows = 0;
             n->begin = p;
-            n->end = last - p <= PIECE ? last : line_end(p + PIECE, last);
+            n->end = last - p <= PIECE ? last : import_line_end(p + PIECE, last);
             p = n->end < last ? n->end + 1 : last;
         }
         SVO_TRY(svo_parallel_for(threads, count, 1, count_rows, &j, err));

@@ -2,6 +2,8 @@
 #ifndef IMPORT_TEXT_H
 #define IMPORT_TEXT_H
 
+#include <string.h>
+
 #include "svo_base.h"
 
 #ifdef __cplusplus
@@ -18,6 +20,13 @@ int import_numbers(const char *text, double *out, int most);
 static inline bool import_blank(char c) { return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f'; }
 static inline bool import_space(char c) { return import_blank(c) || c == '\n'; }
 static inline bool import_digit(char c) { return c >= '0' && c <= '9'; }
+
+/* The newline that ends the line of p, or `end`. */
+static inline const char *import_line_end(const char *p, const char *end)
+{
+    const char *stop = (const char *)memchr(p, '\n', (size_t)(end - p));
+    return stop != NULL ? stop : end;
+}
 
 static inline const char *import_skip_blank(const char *p, const char *end)
 {

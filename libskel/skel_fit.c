@@ -20,7 +20,7 @@ enum { VERTICES = 3000, MOST_BALLS = 16, ROUNDS = 6, MOST_CELLS = 1 << 21, MOST_
 #define PAYS 1e-4        /* of the mean distance: gains that are less are left */
 
 typedef struct ball { double near[3], radius; float at[3], r; } ball; /* radius: distance of the surface; r: of the ball, 0 outside */
-typedef struct pearls { uint32_t count, outside; double length; ball ball[MOST_BALLS]; } pearls; /* of a bone */
+typedef struct bone_balls { uint32_t count, outside; double length; ball ball[MOST_BALLS]; } bone_balls; /* of a bone */
 
 typedef struct fitting {
     const skeli_surface *surface;
@@ -30,7 +30,7 @@ typedef struct fitting {
     uint64_t vertices;
     float *x, *y, *z; /* of each vertex that is looked at */
     double *weight;   /* sum 1 */
-    pearls *bone;
+    bone_balls *bone;
     float *gap;   /* bones * vertices: to the balls of one bone */
     float *other; /* vertices: to those of all bones but a joint's */
     float *trial; /* SIDES * vertices */
@@ -42,7 +42,7 @@ typedef struct fitting {
 } fitting;
 
 /* Balls along the way from a to b; `from`: those that were there, to begin the searches with, or NULL. */
-static void string_pearls(const fitting *f, const double *a, const double *b, const pearls *from, pearls *out)
+static void place_balls(const fitting *f, const double *a, const double *b, const bone_balls *from, bone_balls *out)
 {
     const double length = skeli_apart(a, b);
     out->length = length;
@@ -72,7 +72,7 @@ static void string_pearls(const fitting *f, const double *a, const double *b, co
 }
 
 /* Lower `row` to the gaps of the vertices to these balls. */
-static void lower(const fitting *f, const pearls *p, float *row)
+static void lower(const fitting *f, const bone_balls *p, float *row)
 {
     for (uint32_t i = 0; i < p->count; i++) {
         const float x = p->ball[i].at[0], y = p->ball[i].at[1], z = p->ball[i].at[2], r = p->ball[i].r;
@@ -90,7 +90,7 @@ static double mean(const fitting *f, const float *row)
     return sum;
 }
 
-static double outside_of(const pearls *p) { return p->length * p->outside / (2 * p->count - 1); }
+static double outside_of(const bone_balls *p) { return p->length * p->outside / (2 * p->count - 1); }
 
 static double turn(const double *a, const double *b, const double *c)
 {
@@ -125,7 +125,7 @@ static double anchored(const fitting *f, uint32_t joint, const double *at)
 }
 
 /* A joint that may move, and where to. */
-typedef struct side { double at[3], cost, outside; pearls bone[MOST_DEGREE]; } side; /* cost: INFINITY if it may not be there */
+typedef struct side { double at[3], cost, outside; bone_balls bone[MOST_DEGREE]; } side; /* cost: INFINITY if it may not be there */
 typedef struct moving {
     const fitting *f;
     uint32_t joint, degree;
@@ -154,7 +154,7 @@ static svo_result cost_sides(void *user, uint64_t begin, uint64_t end, uint32_t 
         memcpy(trial, f->other, f->vertices * sizeof *trial);
         for (uint32_t k = 0; k < m->degree; k++) {
             const uint32_t bone = m->bone[k], *e = c->bone + 2 * (uint64_t)bone;
-            string_pearls(f, e[0] == m->joint ? q : c->position + 3 * (uint64_t)e[0], e[1] == m->joint ? q : c->position + 3 * (uint64_t)e[1], &f->bone[bone], &o->bone[k]);
+            place_balls(f, e[0] == m->joint ? q : c->position + 3 * (uint64_t)e[0], e[1] == m->joint ? q : c->position + 3 * (uint64_t)e[1], &f->bone[bone], &o->bone[k]);
             o->outside += outside_of(&o->bone[k]);
             more += o->bone[k].length - f->bone[bone].length;
             lower(f, &o->bone[k], trial);
@@ -164,7 +164,7 @@ static svo_result cost_sides(void *user, uint64_t begin, uint64_t end, uint32_t 
     return SVO_OK;
 }
 
-/* Is anything gained by moving a joint by `step` in one of six directions that turn with `round`? */
+/* Is anything gained by moving a joint by `step` in one of six directions (four in a chain), `turned` from a round to the next? */
 static bool fit_joint(fitting *f, uint32_t joint, double step, const double turned[2])
 {
     const skeli_curve *c = f->curve;
@@ -243,7 +243,7 @@ static svo_result begin(skeli_pool *pool, const skeli_soup *mesh, fitting *f, sv
     for (uint64_t v = 0; v < f->vertices; v++) f->weight[v] = total > 0 ? f->weight[v] / total : 1.0 / (double)f->vertices;
     for (uint64_t i = 0; i < c->bones * f->vertices; i++) f->gap[i] = INFINITY;
     for (uint64_t b = 0; b < c->bones; b++) {
-        string_pearls(f, c->position + 3 * (uint64_t)c->bone[2 * b], c->position + 3 * (uint64_t)c->bone[2 * b + 1], NULL, &f->bone[b]);
+        place_balls(f, c->position + 3 * (uint64_t)c->bone[2 * b], c->position + 3 * (uint64_t)c->bone[2 * b + 1], NULL, &f->bone[b]);
         lower(f, &f->bone[b], f->gap + b * f->vertices);
         f->length += f->bone[b].length;
         f->outside += outside_of(&f->bone[b]);

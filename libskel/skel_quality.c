@@ -7,7 +7,7 @@
 #include "skeli_surface.h"
 #include "svo_task.h"
 
-enum { RAYS = SKELI_CIRCLE, RAY_SAMPLES = 600, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000, BLOCK = 64 };
+enum { RAYS = SKELI_CIRCLE, RAY_SAMPLES = 600, MAX_SAMPLES = 200000, SURFACE_SAMPLES = 20000, BLOCK = 64, GAP_BLOCK = 256 };
 #define SPACING 0.004 /* units */
 
 typedef struct sample { double at[3], along[3], length, radius, off; bool inside; } sample;
@@ -182,13 +182,15 @@ static svo_result balls(skeli_pool *pool, measuring *m, double diagonal, uint32_
     m->vertex_step = n / SURFACE_SAMPLES + 1;
     uint64_t count = (n + m->vertex_step - 1) / m->vertex_step;
     if (threads == 0) threads = svo_processor_count();
+    const uint64_t blocks = (count + GAP_BLOCK - 1) / GAP_BLOCK; /* no more of them can be at work, and each takes a list of all samples */
+    if (threads > blocks) threads = (uint32_t)blocks;
     m->gap = skeli_take(pool, count, sizeof *m->gap);
     m->near = skeli_take(pool, threads * m->count, sizeof *m->near);
     double *position = skeli_take(pool, 3 * n, sizeof *position), *ring = skeli_take(pool, n, sizeof *ring), sum = 0, total = 0;
     if (m->gap == NULL || m->near == NULL || position == NULL || ring == NULL) return skeli_no_memory(err);
     for (uint64_t i = 0; i < 3 * n; i++) position[i] = m->mesh->position[i];
     skeli_rings(m->mesh, position, ring);
-    SVO_TRY(svo_parallel_for(threads, count, 256, gaps, m, err));
+    SVO_TRY(svo_parallel_for(threads, count, GAP_BLOCK, gaps, m, err));
     for (uint64_t i = 0; i < count; i++) {
         sum += ring[i * m->vertex_step] * m->gap[i];
         total += ring[i * m->vertex_step];

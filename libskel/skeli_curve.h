@@ -61,7 +61,8 @@ svo_result skeli_drop_stubs(skeli_pool *pool, const skeli_soup *mesh, const skel
 svo_result skeli_grow(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, bool *grown, svo_error *err);
 /* Joints but ends to where the curve is shortest, near the surface being far (skel_relax.c). */
 svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int rounds, skeli_curve *c, svo_error *err);
-/* Joints to where the surface is nearer to the curve's balls (skel_fit.c). */
+/* Joints, by at most 0.12 of their radius, to where the mean distance of the surface (of `mesh`, in the lattice) to the inscribed balls along the curve is less (skel_fit.c). The same for any
+ * number of threads (0 = all). A curve of too many bones is left as it is. SVO_OUT_OF_MEMORY. */
 svo_result skeli_fit(skeli_pool *pool, const skeli_soup *mesh, const skeli_surface *surface, double omega, uint32_t threads, skeli_curve *c, svo_error *err);
 /* Branches of four and more bones become several of three; those of three that are joined by a bone shorter than `nearer` one. */
 svo_result skeli_split_branches(skeli_pool *pool, const skeli_surface *surface, skeli_curve *c, svo_error *err);

@@ -2,14 +2,9 @@
 #include <stdlib.h>
 
 #include "svoi_best_encoder.h"
+#include "svoi_compare.h"
 
 /* The dictionary: class after class, most used first. */
-static int compare_u64(const void *a, const void *b)
-{
-    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
-    return (x > y) - (x < y);
-}
-
 bool svoi_best_make_dictionary(svoi_best_encoder *e)
 {
     const svoi_symlevel *bricks = &e->d->level[e->d->brick_level];
@@ -21,7 +16,7 @@ bool svoi_best_make_dictionary(svoi_best_encoder *e)
         key[n++] = (uint64_t)(UINT32_MAX - bricks->uses[i]) << 32 | i;
         e->class_count[e->class_of[i]]++;
     }
-    qsort(key, (size_t)n, sizeof *key, compare_u64);
+    qsort(key, (size_t)n, sizeof *key, svoi_compare_u64);
     uint32_t next[SVOI_CLASSES] = {0}, first = 0;
     for (uint32_t c = 0; c < e->classes; c++) {
         e->class_first[c] = first;

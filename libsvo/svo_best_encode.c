@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "svoi_best_encoder.h"
+#include "svoi_compare.h"
 
 enum {
     MOST_PAIRS = 1 << 22, /* of bricks that are looked at to find classes */
@@ -327,12 +328,6 @@ static void choose_written_out(encoder *e)
     }
 }
 
-static int compare_u64(const void *a, const void *b)
-{
-    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
-    return (x > y) - (x < y);
-}
-
 /* --- sizes ------------------------------------------------------------------------------------------------------- */
 
 /* Sizes of a level's nodes; places of those that are shared: the most used first. */
@@ -367,7 +362,7 @@ static bool size_level(encoder *e, uint32_t level)
     }
     for (uint32_t n = 0; n < l->count; n++)
         if (shared(e, level, n)) key[i++] = (uint64_t)(UINT32_MAX - l->uses[n]) << 32 | n;
-    qsort(key, (size_t)n_shared, sizeof *key, compare_u64);
+    qsort(key, (size_t)n_shared, sizeof *key, svoi_compare_u64);
     uint64_t at = 0;
     for (i = 0; i < n_shared; i++) {
         uint32_t n = (uint32_t)key[i];

@@ -8,6 +8,7 @@
 #include "svo_morton.h"
 #include "svo_task.h"
 #include "svoi_quantize.h"
+#include "svoi_compare.h"
 
 /* --- variance cut ------------------------------------------------------------------------------------------------- */
 
@@ -228,12 +229,6 @@ static svo_result assign(void *user, uint64_t begin, uint64_t end, uint32_t work
     return r;
 }
 
-static int compare_u64(const void *a, const void *b)
-{
-    uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
-    return (x > y) - (x < y);
-}
-
 static svo_result make_tree(cluster *k, svo_error *err)
 {
     const svoi_colors *c = k->c;
@@ -248,7 +243,7 @@ static svo_result make_tree(cluster *k, svo_error *err)
         }
         order[i] = svo_morton_encode(at[0], at[1], at[2]) << 24 | i;
     }
-    qsort(order, (size_t)c->count, sizeof *order, compare_u64);
+    qsort(order, (size_t)c->count, sizeof *order, svoi_compare_u64);
     for (uint64_t i = 0; i < c->count; i++) k->sorted[i] = (uint32_t)order[i] & 0xffffff;
     svo_free(c->a, order, c->count, sizeof *order);
     for (uint32_t level = k->levels + 1; level-- > 0;)

@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "svoi_crew.h"
+#include "svoi_thread_pool.h"
 
 uint32_t svo_processor_count(void)
 {
@@ -58,14 +58,14 @@ static void loop_run(loop *l, uint32_t worker)
                 l->error = err;
             }
             pthread_mutex_unlock(&l->lock);
-            /* Blocks are claimed in order, so every block before this one has been claimed and will be finished. */
+            /* Blocks are claimed in job, so every block before this one has been claimed and will be finished. */
             __atomic_store_n(&l->next, l->count, __ATOMIC_RELAXED);
             return;
         }
     }
 }
 
-static void loop_order(void *arg)
+static void loop_job(void *arg)
 {
     loop_worker *w = arg;
     loop_run(w->loop, w->index);
@@ -86,16 +86,16 @@ svo_result svo_parallel_for(uint32_t threads, uint64_t count, uint64_t grain, sv
 
     loop l = {.count = count, .grain = grain, .fn = fn, .user = user};
     pthread_mutex_init(&l.lock, NULL);
-    svoi_order order[SVOI_MAX_THREADS];
+    svoi_pool_job job[SVOI_MAX_THREADS];
     loop_worker worker[SVOI_MAX_THREADS];
     uint32_t started = 1;
     for (; started < threads; started++) {
         worker[started] = (loop_worker){&l, started};
-        order[started] = (svoi_order){.fn = loop_order, .arg = &worker[started]};
-        if (!svoi_crew_start(&order[started])) break; /* fewer will do */
+        job[started] = (svoi_pool_job){.fn = loop_job, .arg = &worker[started]};
+        if (!svoi_pool_start(&job[started])) break; /* fewer will do */
     }
     loop_run(&l, 0);
-    for (uint32_t i = 1; i < started; i++) svoi_crew_wait(&order[i]);
+    for (uint32_t i = 1; i < started; i++) svoi_pool_wait(&job[i]);
     pthread_mutex_destroy(&l.lock);
     if (l.result != SVO_OK && err != NULL) *err = l.error;
     return l.result;
@@ -103,33 +103,33 @@ svo_result svo_parallel_for(uint32_t threads, uint64_t count, uint64_t grain, sv
 
 /* --- beside --------------------------------------------------------------------------------------------------- */
 
-struct svo_beside {
-    svoi_order order;
+struct svo_async {
+    svoi_pool_job job;
     bool ended;
 };
 
-svo_beside *svo_beside_start(void (*fn)(void *user), void *user)
+svo_async *svo_async_start(void (*fn)(void *user), void *user)
 {
-    svo_beside *b = malloc(sizeof *b);
+    svo_async *b = malloc(sizeof *b);
     if (b != NULL) {
-        *b = (svo_beside){.order = {.fn = fn, .arg = user}};
-        if (svoi_crew_start(&b->order)) return b;
+        *b = (svo_async){.job = {.fn = fn, .arg = user}};
+        if (svoi_pool_start(&b->job)) return b;
         free(b);
     }
     fn(user);
     return NULL;
 }
 
-void svo_beside_wait(svo_beside *b)
+void svo_async_wait(svo_async *b)
 {
     if (b == NULL || b->ended) return;
-    svoi_crew_wait(&b->order);
+    svoi_pool_wait(&b->job);
     b->ended = true;
 }
 
-void svo_beside_free(svo_beside *b)
+void svo_async_free(svo_async *b)
 {
-    svo_beside_wait(b);
+    svo_async_wait(b);
     free(b);
 }
 
@@ -234,7 +234,7 @@ static void pipe_work(pipe_run *r, uint32_t worker)
     pthread_mutex_unlock(&r->lock);
 }
 
-static void pipe_order(void *arg)
+static void pipe_job(void *arg)
 {
     pipe_worker *w = arg;
     pipe_work(w->run, w->index);
@@ -254,16 +254,16 @@ svo_result svo_pipeline_run(const svo_pipeline *p, svo_error *err)
     }
     pthread_mutex_init(&r.lock, NULL);
     pthread_cond_init(&r.wake, NULL);
-    svoi_order order[SVOI_MAX_THREADS];
+    svoi_pool_job job[SVOI_MAX_THREADS];
     pipe_worker worker[SVOI_MAX_THREADS];
     uint32_t started = 1;
     for (; started < threads; started++) {
         worker[started] = (pipe_worker){&r, started};
-        order[started] = (svoi_order){.fn = pipe_order, .arg = &worker[started]};
-        if (!svoi_crew_start(&order[started])) break;
+        job[started] = (svoi_pool_job){.fn = pipe_job, .arg = &worker[started]};
+        if (!svoi_pool_start(&job[started])) break;
     }
     pipe_work(&r, 0);
-    for (uint32_t i = 1; i < started; i++) svoi_crew_wait(&order[i]);
+    for (uint32_t i = 1; i < started; i++) svoi_pool_wait(&job[i]);
     if (p->destroy != NULL)
         for (uint32_t i = 0; i < r.window; i++) p->destroy(p->user, r.items + (size_t)i * p->item_size);
     pthread_cond_destroy(&r.wake);

@@ -19,11 +19,11 @@ typedef svo_result (*svo_range_fn)(void *user, uint64_t begin, uint64_t end, uin
 svo_result svo_parallel_for(uint32_t threads, uint64_t count, uint64_t grain, svo_range_fn fn, void *user, svo_error *err);
 
 /* Run fn(user) beside what the caller does meanwhile, on a thread more. NULL where there is no thread or no memory for it: then it has been run already.
- * svo_beside_wait returns when it has ended, also when called again; svo_beside_free waits too. NULL is fine for both. */
-typedef struct svo_beside svo_beside;
-svo_beside *svo_beside_start(void (*fn)(void *user), void *user);
-void svo_beside_wait(svo_beside *b);
-void svo_beside_free(svo_beside *b);
+ * svo_async_wait returns when it has ended, also when called again; svo_async_free waits too. NULL is fine for both. */
+typedef struct svo_async svo_async;
+svo_async *svo_async_start(void (*fn)(void *user), void *user);
+void svo_async_wait(svo_async *b);
+void svo_async_free(svo_async *b);
 
 /* Processors this process may run on, at least 1. */
 uint32_t svo_processor_count(void);

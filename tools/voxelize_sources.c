@@ -16,7 +16,7 @@ typedef struct sources_work {
     uint64_t size;
     bool mapped;
     char *hash;
-    svo_beside *beside;
+    svo_async *beside;
 } sources_work;
 
 static void hash_source(void *user)
@@ -25,7 +25,7 @@ static void hash_source(void *user)
     fmt_hash_file(w->bytes, w->size, w->mapped, w->hash);
 }
 
-struct svo_beside *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped)
+struct svo_async *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped)
 {
     sources *s = user;
     if (s->count == s->capacity) {
@@ -52,7 +52,7 @@ struct svo_beside *sources_add(void *user, const char *path, const uint8_t *byte
     }
     if (n.work != NULL) {
         *n.work = now;
-        n.work->beside = svo_beside_start(hash_source, n.work);
+        n.work->beside = svo_async_start(hash_source, n.work);
     } else {
         hash_source(&now);
     }
@@ -63,13 +63,13 @@ struct svo_beside *sources_add(void *user, const char *path, const uint8_t *byte
 void sources_settle(const sources *s)
 {
     for (size_t i = 0; i < s->count; i++)
-        if (s->list[i].work != NULL) svo_beside_wait(s->list[i].work->beside);
+        if (s->list[i].work != NULL) svo_async_wait(s->list[i].work->beside);
 }
 
 void sources_free(sources *s)
 {
     for (size_t i = 0; i < s->count; i++) {
-        if (s->list[i].work != NULL) svo_beside_free(s->list[i].work->beside);
+        if (s->list[i].work != NULL) svo_async_free(s->list[i].work->beside);
         free(s->list[i].work);
         free(s->list[i].path);
         free(s->list[i].hash);

@@ -18,7 +18,7 @@ typedef struct sources {
 } sources;
 
 /* fmt_import_options.file_read with a sources as user. */
-struct svo_beside *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
+struct svo_async *sources_add(void *user, const char *path, const uint8_t *bytes, uint64_t size, bool mapped);
 /* Wait for all hashes. */
 void sources_settle(const sources *s);
 void sources_free(sources *s);

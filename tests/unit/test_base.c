@@ -164,16 +164,16 @@ TEST(threads_that_stay_do_each_piece_of_work_once)
         static uint8_t hits[16 * 64];
         memset(hits, 0, sizeof hits);
         uint32_t beside = 0;
-        svo_beside *b = svo_beside_start(count_beside, &beside);
+        svo_async *b = svo_async_start(count_beside, &beside);
         CHECK_OK(svo_parallel_for(4, 16, 1, count_nested, hits, &err));
-        svo_beside_wait(b);
-        svo_beside_wait(b);
+        svo_async_wait(b);
+        svo_async_wait(b);
         CHECK_U64(beside, 1);
-        svo_beside_free(b);
+        svo_async_free(b);
         for (uint32_t i = 0; i < sizeof hits; i++) CHECK(hits[i] == 1);
     }
-    svo_beside_wait(NULL);
-    svo_beside_free(NULL);
+    svo_async_wait(NULL);
+    svo_async_free(NULL);
 }
 
 #if !defined(__SANITIZE_THREAD__)

@@ -184,6 +184,16 @@ static void tangle_make(loose_mesh *m, uint32_t count, double texels, uint64_t *
     m->part.normals = normal;
 }
 
+/* With vector code and without it. */
+static void run_both(const svo_mesh *mesh, const svo_voxelize_options *o, voxel_set *with, voxel_set *without)
+{
+    svo_error err;
+    CHECK_OK(voxel_run(mesh, o, false, with, &err));
+    svoi_clip_hold_back(true);
+    CHECK_OK(voxel_run(mesh, o, false, without, &err));
+    svoi_clip_hold_back(false);
+}
+
 TEST(attributes_are_the_same_without)
 {
     uint64_t seed = 8;
@@ -217,11 +227,7 @@ TEST(attributes_are_the_same_without)
         o.threads = 2;
         o.channels = SVO_WANT_COLOR | SVO_WANT_NORMAL | SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS;
         voxel_set with, without;
-        svo_error err;
-        CHECK_OK(voxel_run(&m.mesh, &o, false, &with, &err));
-        svoi_clip_hold_back(true);
-        CHECK_OK(voxel_run(&m.mesh, &o, false, &without, &err));
-        svoi_clip_hold_back(false);
+        run_both(&m.mesh, &o, &with, &without);
         CHECK(with.hash == without.hash && with.count == without.count);
         voxel_free(&with);
         voxel_free(&without);
@@ -262,11 +268,7 @@ TEST(plain_attributes_are_the_same_without)
         o.threads = 2;
         o.channels = SVO_WANT_NORMAL | (round % 3 > 0 ? SVO_WANT_COLOR : 0) | (round % 3 > 1 ? SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS | SVO_WANT_COVERAGE : 0);
         voxel_set with, without;
-        svo_error err;
-        CHECK_OK(voxel_run(&m.mesh, &o, false, &with, &err));
-        svoi_clip_hold_back(true);
-        CHECK_OK(voxel_run(&m.mesh, &o, false, &without, &err));
-        svoi_clip_hold_back(false);
+        run_both(&m.mesh, &o, &with, &without);
         CHECK_MSG(with.hash == without.hash && with.counts.nodes[o.depth] > 1000, "round %u, %llu voxels", round, (unsigned long long)with.counts.nodes[o.depth]);
         voxel_free(&with);
         voxel_free(&without);
