@@ -282,6 +282,10 @@ int main(int argc, char **argv)
     r.options.phase_user = &c;
     svo_error err = {0};
     svo_result result = compress(&r, &err);
+    if (result == SVO_LIMIT && c.memory != 0) { /* the message has what is left for the work */
+        const svo_error why = err;
+        svo_fail(&err, result, "%s; --memory is %llu, the rest is for the program itself", why.message, (unsigned long long)c.memory);
+    }
     svo_packed_free(r.packed);
     fmt_spill_close(r.spill);
     free(r.provenance);
