@@ -13,82 +13,6 @@
 
 bool svoi_rays_have_avx2(void) { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("popcnt"); }
 
-/* ---- making rays ready, and telling what they hit -------------------------------------------------------------------- */
-
-/* One ray: 0 misses everything, 1 is in the list at `to`, 2 is left to svo_raycast. */
-INLINE int prepare_one(const svo_rays *r, const svo_ray *ray, bool lod, double scale, svoi_ray_batch *b, uint32_t to, uint32_t number)
-{
-    const int32_t *low_side = lod ? r->root_low : r->low, *high_side = lod ? r->root_high : r->high, unit_mask = (1 << r->fraction) - 1;
-    double o[3], d[3], inv[3], near[3], t = ray->t_min, leave = INFINITY;
-    bool usual = fabs(t) <= 0x1p300 && ray->t_max == ray->t_max;
-    for (int k = 0; k < 3; k++) {
-        o[k] = ray->origin[k] * scale, d[k] = ray->direction[k] * scale, inv[k] = 1 / d[k];
-        usual &= fabs(o[k]) <= 0x1p40 && fabs(d[k]) >= 0x1p-90 && fabs(d[k]) <= 0x1p90; /* NaN fails every one; 1 / d, and planes times that, are normal floats */
-        const double a = (low_side[k] - o[k]) * inv[k], z = (high_side[k] - o[k]) * inv[k];
-        near[k] = d[k] < 0 ? z : a;
-        leave = fmin(leave, d[k] < 0 ? a : z);
-        t = fmax(near[k], t);
-    }
-    if (!usual) return 2;
-    if (lod && !(ray->spread * t + ray->offset < ldexp(1, (int)r->view->tree_depth))) return 2;
-    if (!(t < leave && t <= ray->t_max)) return 0;
-    for (int k = 0; k < 3; k++) {
-        const bool entering = near[k] >= t;
-        int32_t q = entering ? (d[k] < 0 ? high_side[k] - 1 : low_side[k]) : (int32_t)__builtin_fma(d[k], t, o[k]);
-        const bool exact = !entering && t == 0 && q == o[k]; /* nothing has been rounded: on a plane it is in the cell before it */
-        if (!entering && !exact && ((q + 1) & unit_mask) <= 1) return 2;
-        q -= exact && d[k] < 0;
-        b->in.o[k][to] = o[k], b->in.d[k][to] = d[k], b->in.inv[k][to] = inv[k], b->in.q[k][to] = q;
-    }
-    b->in.t[to] = t, b->in.t_max[to] = ray->t_max;
-    b->in.spread[to] = ray->spread * scale, b->in.offset[to] = ray->offset * scale;
-    b->in.ray[to] = (int32_t)number;
-    return 1;
-}
-
-bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b)
-{
-    const double scale = ldexp(1, (int)r->fraction);
-    bool lod = false;
-    for (uint32_t i = 0; i < count && r->view->lod && !lod; i++) lod = rays[i].spread > 0 || rays[i].offset > 0;
-    memset(b->unsure, 0, sizeof b->unsure);
-    b->count = 0;
-    for (uint32_t i = 0; i < count; i++) {
-        int kind = prepare_one(r, &rays[i], lod, scale, b, b->count, i);
-        if (kind == 2) b->unsure[i / 8] |= (uint8_t)(1u << i % 8);
-        b->count += kind == 1;
-    }
-    return lod;
-}
-
-void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits)
-{
-    memset(b->again, 0, sizeof b->again);
-    for (uint32_t j = 0; j < b->found; j++) {
-        const svo_ray *ray = &b->rays[b->found_ray[j]];
-        svo_hit *hit = &hits[b->found_ray[j]];
-        if (b->state[j] == SVOI_RAY_DOUBT) {
-            b->again[j / 8] |= (uint8_t)(1u << j % 8);
-            continue;
-        }
-        const uint32_t above = (uint32_t)b->state[j] - 1 - r->fraction;
-        const double size = (double)((uint32_t)1 << above);
-        double enter = -INFINITY;
-        uint32_t face = 0;
-        for (uint32_t k = 0; k < 3; k++) {
-            const int32_t corner = b->at[k][j] >> r->fraction & -((int32_t)1 << above);
-            const double inv = 1 / ray->direction[k], p = corner + (inv < 0 ? size : 0), t = (p - ray->origin[k]) * inv;
-            if (t > enter) enter = t, face = 2 * k + (inv < 0);
-            hit->cell[k] = (uint32_t)corner >> above;
-        }
-        if (enter < ray->t_min) enter = ray->t_min, face = SVO_FACE_INSIDE;
-        /* the kernel may see that a node is small enough only after the ray has entered it, and then it was not when it counted */
-        if (lod && above != 0 && !(size <= ray->spread * enter + ray->offset)) b->again[j / 8] |= (uint8_t)(1u << j % 8);
-        hit->t = enter + 0.0; /* no negative zero */
-        hit->face = (uint8_t)face, hit->level = (uint8_t)(r->view->depth - above), hit->hit = true;
-    }
-}
-
 /* ---- traversal ---------------------------------------------------------------------------------------------------- */
 
 enum { LANES = 8, REFILL = 4 };
@@ -145,12 +69,27 @@ INLINE void load_nodes(const uint64_t *units, const int32_t *at, __m256i out[4])
 }
 
 /* Results of lanes that have finished with something to tell. */
-static void flush(const group *g, const svo_rays *r, svoi_ray_batch *b)
+static void flush(const group *g, const svo_rays *r, bool lod, svoi_ray_batch *b)
 {
+    _Alignas(32) int32_t face[LANES];
+    if (!lod) {
+        /* A ray in a finest voxel is where it entered it, or where it began: the last plane that it has crossed is the voxel's. */
+        const __m256i size = word(1 << r->fraction), keep = word(-(1 << r->fraction));
+        const pair now = doubles(g->t);
+        __m256i f = word(SVO_FACE_INSIDE);
+        for (int k = 2; k >= 0; k--) {
+            const __m256i back = words(g->backward[k]);
+            const pair p = to_doubles(_mm256_add_epi32(_mm256_and_si256(words(g->q[k]), keep), _mm256_and_si256(back, size))), o = doubles(g->o[k]), inv = doubles(g->inv[k]);
+            const __m256i entered = both(_mm256_cmp_pd(_mm256_mul_pd(_mm256_sub_pd(p.a, o.a), inv.a), now.a, _CMP_GE_OQ), _mm256_cmp_pd(_mm256_mul_pd(_mm256_sub_pd(p.b, o.b), inv.b), now.b, _CMP_GE_OQ));
+            f = choose(entered, _mm256_sub_epi32(word(2 * k), back), f);
+        }
+        put(face, f);
+    }
     for (uint32_t rest = g->finished; rest != 0; rest &= rest - 1, b->found++) {
         const uint32_t lane = (uint32_t)__builtin_ctz(rest), to = b->found;
         b->found_ray[to] = g->ray[lane], b->state[to] = g->state[lane];
         for (int k = 0; k < 3; k++) b->at[k][to] = g->q[k][lane];
+        if (!lod) b->t_found[to] = g->t[lane], b->face_found[to] = face[lane];
         if (!b->numbers || g->state[lane] == SVOI_RAY_DOUBT) continue;
         uint32_t sum = r->before[(uint32_t)g->node[lane]] >> 1;
         for (uint32_t k = 1; k + 1 < r->levels; k++)
@@ -160,13 +99,13 @@ static void flush(const group *g, const svo_rays *r, svoi_ray_batch *b)
 }
 
 /* New rays where few are left; false when there is nothing to do any more. */
-static bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool start, uint32_t *next)
+static bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, bool start, uint32_t *next)
 {
     if (__builtin_popcount(g->active) > REFILL) return true;
     const svoi_ray_list *from = start ? &b->start : &b->in;
     const uint32_t end = start ? b->starts : b->count;
     if (*next == end) return g->active != 0;
-    if (g->finished != 0) flush(g, r, b);
+    if (g->finished != 0) flush(g, r, lod, b);
     g->finished = 0;
     for (uint32_t empty = ~g->active & 0xff; empty != 0 && *next < end; empty &= empty - 1, ++*next) {
         const uint32_t l = (uint32_t)__builtin_ctz(empty), i = *next;
@@ -330,12 +269,12 @@ INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
     memset(g, 0, sizeof g);
     for (;;) {
         bool more = false;
-        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, start, &next);
+        for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, lod, start, &next);
         if (!more) break;
         for (int i = 0; i < GROUPS; i++) advance(&g[i], r, lod);
     }
     for (int i = 0; i < GROUPS; i++)
-        if (g[i].finished != 0) flush(&g[i], r, b);
+        if (g[i].finished != 0) flush(&g[i], r, lod, b);
 }
 
 void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)

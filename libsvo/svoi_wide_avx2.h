@@ -88,12 +88,25 @@ INLINE void wide_fill(int32_t *to, int32_t x)
     for (int i = 0; i < 16; i += 8) _mm256_storeu_si256((__m256i *)(to + i), _mm256_set1_epi32(x));
 }
 
-/* The rays `hits` of the 16 from `i` on have met a cell of a node. */
+/* Faces through which 16 rays enter something at `in`: of the first plane for which plane[k] == in. */
+INLINE void enter_faces(wide in, const wide plane[3], uint8_t negative, uint8_t face[16])
+{
+    const uint32_t x = wide_at_most(in, plane[0]), y = wide_at_most(in, plane[1]), z = wide_at_most(in, plane[2]);
+    const uint32_t back[3] = {negative & 1, negative >> 1 & 1, negative >> 2 & 1};
+    for (uint32_t l = 0; l < 16; l++)
+        face[l] = (uint8_t)(x >> l & 1 ? SVO_FACE_LOW_X + back[0] : y >> l & 1 ? SVO_FACE_LOW_Y + back[1] : z >> l & 1 ? SVO_FACE_LOW_Z + back[2] : SVO_FACE_INSIDE);
+}
+
+/* The rays `hits` of the 16 from `i` on have met a cell of a node, which they enter at `in` through the first plane for which plane[k] == in. */
 INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, const wide plane[3], uint8_t negative, const int32_t at[3], int32_t state, int32_t node, int32_t base)
 {
-    (void)in, (void)plane, (void)negative; /* this kernel finds t and face with the others */
+    _Alignas(32) double enter[16];
+    uint8_t face[16];
+    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]);
+    enter_faces(in, plane, negative, face);
     for (; hits != 0; hits &= hits - 1, b->found++) {
-        b->found_ray[b->found] = b->in.ray[i + (uint32_t)__builtin_ctz(hits)];
+        const uint32_t lane = (uint32_t)__builtin_ctz(hits);
+        b->found_ray[b->found] = b->in.ray[i + lane], b->t_found[b->found] = enter[lane], b->face_found[b->found] = face[lane];
         b->state[b->found] = state, b->node_found[b->found] = node, b->base[b->found] = base;
         for (int k = 0; k < 3; k++) b->at[k][b->found] = at[k];
     }
@@ -118,15 +131,18 @@ INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wid
     return doubt;
 }
 
-/* The rays `met` of the 16 from `i` on hit a finest voxel where they enter something; see enter_at. Neither node_found nor base is set, nor t nor the face. */
+/* The rays `met` of the 16 from `i` on hit a finest voxel where they enter something; see enter_at. Neither node_found nor base is set. */
 INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
 {
     _Alignas(16) int32_t q[3][16];
     const uint32_t doubt = enter_at(b, i, in, plane, side, (1 << fraction) - 1, false, q);
-    (void)negative;
+    _Alignas(32) double enter[16];
+    uint8_t face[16];
+    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]);
+    enter_faces(in, plane, negative, face);
     for (; met != 0; met &= met - 1, b->found++) {
         const uint32_t lane = (uint32_t)__builtin_ctz(met);
-        b->found_ray[b->found] = b->in.ray[i + lane];
+        b->found_ray[b->found] = b->in.ray[i + lane], b->t_found[b->found] = enter[lane], b->face_found[b->found] = face[lane];
         b->state[b->found] = doubt >> lane & 1 ? SVOI_RAY_DOUBT : fraction + 1;
         for (int k = 0; k < 3; k++) b->at[k][b->found] = q[k][lane];
     }
