@@ -81,29 +81,6 @@ static uint64_t number_of(const svo_rays *r, svoi_ray_cache *cache, const svoi_r
     return base + (before >> 1) - block;
 }
 
-/* Neighbours begin in the smallest node that all of them are in, found once for 16 of them. */
-void svoi_rays_begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
-{
-    for (uint32_t i = first; i < first + count; i += 16) {
-        const uint32_t end = first + count - i < 16 ? first + count : i + 16;
-        const int32_t at[3] = {l->q[0][i], l->q[1][i], l->q[2][i]};
-        uint32_t differ = 0, s = SVOI_RAYS_BITS - 2, unit = 0, level = r->levels - 1;
-        double limit = 0;
-        for (uint32_t j = i; j < end; j++) differ |= (uint32_t)((l->q[0][j] ^ at[0]) | (l->q[1][j] ^ at[1]) | (l->q[2][j] ^ at[2]));
-        for (uint32_t j = i; lod && j < end; j++) limit = fmax(limit, l->spread[j] * l->t[j] + l->offset[j]);
-        while (level > 0 && differ >> s == 0 && limit < (double)((uint32_t)1 << s)) {
-            const uint64_t mask = r->units[unit];
-            const uint32_t cell = ((uint32_t)at[0] >> s & 3) | ((uint32_t)at[1] >> s & 3) << 2 | ((uint32_t)at[2] >> s & 3) << 4;
-            if (!(mask >> cell & 1)) break;
-            const uint32_t rank = (uint32_t)__builtin_popcountll(mask & (((uint64_t)1 << cell) - 1));
-            for (uint32_t j = i; j < end; j++) b->stack[level][j] = (int32_t)unit;
-            unit = (uint32_t)r->units[unit + 1] + (level == 1 ? rank : 2 * rank);
-            s -= 2, level--;
-        }
-        for (uint32_t j = i; j < end; j++) b->s[j] = (int32_t)s, b->node[j] = (int32_t)unit;
-    }
-}
-
 /* Rays that no packet takes. */
 static void start_alone(const svo_rays *r, bool lod, svoi_ray_batch *b, uint32_t first, uint32_t count)
 {

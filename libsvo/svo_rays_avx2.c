@@ -15,7 +15,8 @@ bool svoi_rays_have_avx2(void) { return __builtin_cpu_supports("avx2") && __buil
 
 /* ---- traversal ---------------------------------------------------------------------------------------------------- */
 
-enum { LANES = 8, REFILL = 4 };
+/* Lanes are refilled when REFILL or fewer are left. Where rays begin it is worth a look how far they can hit anything while WORTH of 8 may find out. */
+enum { LANES = 8, REFILL = 4, WORTH = 3 };
 
 typedef struct pair { __m256d a, b; } pair; /* 8 doubles */
 
@@ -28,6 +29,9 @@ typedef struct group {
 
 INLINE __m256i words(const int32_t *p) { return _mm256_load_si256((const __m256i *)p); }
 INLINE void put(int32_t *p, __m256i x) { _mm256_store_si256((__m256i *)p, x); }
+INLINE __m256i any_words(const int32_t *p) { return _mm256_loadu_si256((const __m256i *)p); } /* of any alignment, as are those below */
+INLINE void put_any(int32_t *p, __m256i x) { _mm256_storeu_si256((__m256i *)p, x); }
+INLINE pair any_doubles(const double *p) { return (pair){_mm256_loadu_pd(p), _mm256_loadu_pd(p + 4)}; }
 INLINE pair doubles(const double *p) { return (pair){_mm256_load_pd(p), _mm256_load_pd(p + 4)}; }
 INLINE __m256i word(int x) { return _mm256_set1_epi32(x); }
 INLINE __m256i choose(__m256i m, __m256i yes, __m256i no) { return _mm256_blendv_epi8(no, yes, m); }
@@ -259,6 +263,115 @@ INLINE void advance(group *g, const svo_rays *r, bool lod)
     g->finished |= bits(doubt);
 }
 
+/* Where the children of nodes lie: units of the child in the cell `bit` of the half `w` of a node's mask, behind the lower half where `upper`. */
+INLINE __m256i child_of(const __m256i node[4], __m256i w, __m256i bit, __m256i upper, __m256i single)
+{
+    const __m256i one = word(1);
+    __m256i rank = count_bits(_mm256_and_si256(w, _mm256_sub_epi32(bit, one)));
+    rank = _mm256_add_epi32(rank, _mm256_and_si256(upper, count_bits(node[0])));
+    return _mm256_add_epi32(node[2], choose(single, rank, _mm256_slli_epi32(rank, 1)));
+}
+
+/* The way down to where rays begin, all levels with all lanes; see svo_rays_avx512.c. */
+INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t i, uint32_t count)
+{
+    const __m256i one = word(1), three = word(3), field = word(15);
+    const __m256i q[3] = {any_words(&l->q[0][i]), any_words(&l->q[1][i]), any_words(&l->q[2][i])};
+    __m256i down = _mm256_cmpgt_epi32(word((int)count), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7)), alone = down, positive[3];
+    _Alignas(32) int32_t node[LANES] = {0};
+    __m256i at = word(SVOI_RAYS_BITS - 2);
+    __m256 step[3], reach = _mm256_set1_ps(INFINITY); /* alone: no hits but in this node; then they are at most so far away */
+    pair limit = {_mm256_setzero_pd(), _mm256_setzero_pd()}, t = any_doubles(&l->t[i]);
+    for (int k = 0; k < 3; k++) {
+        const pair inv = any_doubles(&l->inv[k][i]);
+        step[k] = _mm256_insertf128_ps(_mm256_castps128_ps256(_mm256_cvtpd_ps(inv.a)), _mm256_cvtpd_ps(inv.b), 1);
+        positive[k] = _mm256_xor_si256(_mm256_srai_epi32(_mm256_castps_si256(step[k]), 31), word(-1));
+    }
+    if (lod) {
+        const pair spread = any_doubles(&l->spread[i]), offset = any_doubles(&l->offset[i]);
+        limit = (pair){_mm256_add_pd(_mm256_mul_pd(spread.a, t.a), offset.a), _mm256_add_pd(_mm256_mul_pd(spread.b, t.b), offset.b)};
+    }
+    for (uint32_t level = r->levels - 1, s = SVOI_RAYS_BITS - 2; level > 0; level--, s -= 2) {
+        const __m128i shift = _mm_cvtsi32_si128((int)s), finer = _mm_cvtsi32_si128((int)s - 2);
+        __m256i units[4];
+        load_nodes(r->units, node, units);
+        if (!lod && __builtin_popcount(bits(alone)) >= WORTH) {
+            /* as in misses_box */
+            const int32_t size = (int32_t)1 << s, margin = (1 << 15 >> (30 - s)) + 2;
+            const __m256i keep = word(-(4 * size)), keep_cell = word(-size);
+            __m256 enter = _mm256_setzero_ps(), leave = _mm256_set1_ps(INFINITY), leave_cell = leave;
+            for (int k = 0; k < 3; k++) {
+                const __m256i corner = _mm256_sub_epi32(_mm256_and_si256(q[k], keep), q[k]), cell = _mm256_sub_epi32(_mm256_and_si256(q[k], keep_cell), q[k]);
+                __m256i low = _mm256_and_si256(_mm256_srli_epi32(units[3], 4 * k), field), high = _mm256_and_si256(_mm256_srli_epi32(units[3], 4 * k + 12), field);
+                low = _mm256_add_epi32(_mm256_sub_epi32(corner, word(margin)), _mm256_sll_epi32(low, finer));
+                high = _mm256_add_epi32(_mm256_add_epi32(corner, word(margin + size / 4)), _mm256_sll_epi32(high, finer));
+                const __m256i far = _mm256_add_epi32(cell, choose(positive[k], word(size - 2), word(2)));
+                const __m256 x = _mm256_mul_ps(_mm256_cvtepi32_ps(low), step[k]), y = _mm256_mul_ps(_mm256_cvtepi32_ps(high), step[k]);
+                enter = _mm256_max_ps(_mm256_min_ps(x, y), enter);
+                leave = _mm256_min_ps(_mm256_max_ps(x, y), leave);
+                leave_cell = _mm256_min_ps(_mm256_mul_ps(_mm256_cvtepi32_ps(far), step[k]), leave_cell);
+            }
+            const __m256i missed = _mm256_and_si256(down, _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_GT_OQ)));
+            down = _mm256_andnot_si256(missed, down);
+            alone = _mm256_and_si256(alone, _mm256_or_si256(down, missed));
+            reach = _mm256_blendv_ps(reach, _mm256_min_ps(reach, leave), _mm256_castsi256_ps(alone));
+            reach = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_and_si256(alone, missed)), reach);
+            alone = _mm256_and_si256(alone, _mm256_castps_si256(_mm256_cmp_ps(reach, _mm256_mul_ps(leave_cell, _mm256_set1_ps(0.99999f)), _CMP_LE_OQ)));
+        }
+        const __m256i x = _mm256_and_si256(_mm256_srl_epi32(q[0], shift), three), y = _mm256_and_si256(_mm256_srl_epi32(q[1], shift), three), z = _mm256_and_si256(_mm256_srl_epi32(q[2], shift), three);
+        const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
+        const __m256i upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, units[1], units[0]);
+        down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), _mm256_setzero_si256()), down);
+        if (lod) down = _mm256_andnot_si256(within(word((int)s), limit), down); /* one that is small enough may be a hit */
+        alone = _mm256_and_si256(alone, down);
+        if (bits(down) == 0) break;
+        const __m256i here = words(node), child = child_of(units, w, bit, upper, word(level == 1 ? -1 : 0));
+        put_any(&b->stack[level][i], here);
+        put(node, choose(down, child, here));
+        at = _mm256_sub_epi32(at, _mm256_and_si256(down, word(2)));
+    }
+    put_any(&b->s[i], at);
+    put_any(&b->node[i], words(node));
+    if (lod) return;
+    reach = _mm256_mul_ps(reach, _mm256_set1_ps(1.00001f));
+    const pair t_max = any_doubles(&l->t_max[i]);
+    _mm256_storeu_pd(&l->t_max[i], _mm256_min_pd(_mm256_add_pd(t.a, _mm256_cvtps_pd(_mm256_castps256_ps128(reach))), t_max.a));
+    _mm256_storeu_pd(&l->t_max[i + 4], _mm256_min_pd(_mm256_add_pd(t.b, _mm256_cvtps_pd(_mm256_extractf128_ps(reach, 1))), t_max.b));
+}
+
+void svoi_rays_begin_avx2(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i += LANES) lod ? begin(r, true, l, b, first + i, count - i) : begin(r, false, l, b, first + i, count - i);
+}
+
+/* Rays that a packet has brought to a node where their cells are filled go down, as in `begin`. */
+static void sink(const svo_rays *r, svoi_ray_batch *b)
+{
+    const __m256i one = word(1), three = word(3), zero = _mm256_setzero_si256(), brick = word((int)r->fraction);
+    for (uint32_t i = 0; i < b->starts; i += LANES) {
+        const svoi_ray_list *l = &b->start;
+        const __m256i q[3] = {any_words(&l->q[0][i]), any_words(&l->q[1][i]), any_words(&l->q[2][i])};
+        __m256i s = any_words(&b->s[i]), node = any_words(&b->node[i]), down = _mm256_cmpgt_epi32(word((int)(b->starts - i)), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+        while (down = _mm256_andnot_si256(_mm256_cmpeq_epi32(s, brick), down), bits(down) != 0) {
+            _Alignas(32) int32_t places[LANES];
+            __m256i units[4];
+            put(places, _mm256_and_si256(down, node));
+            load_nodes(r->units, places, units);
+            const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(q[0], s), three), y = _mm256_and_si256(_mm256_srlv_epi32(q[1], s), three), z = _mm256_and_si256(_mm256_srlv_epi32(q[2], s), three);
+            const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
+            const __m256i upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, units[1], units[0]);
+            down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), zero), down);
+            const __m256i child = child_of(units, w, bit, upper, _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
+            for (uint32_t k = 1; k < r->levels; k++)
+                _mm256_maskstore_epi32(&b->stack[k][i], _mm256_and_si256(down, _mm256_cmpeq_epi32(s, word((int)(r->fraction + 2 * k)))), node);
+            node = choose(down, child, node);
+            s = _mm256_sub_epi32(s, _mm256_and_si256(down, word(2)));
+        }
+        put_any(&b->s[i], s);
+        put_any(&b->node[i], node);
+    }
+}
+
 /* Two groups take turns: while one waits for its last result the other works. */
 enum { GROUPS = 2 };
 
@@ -267,6 +380,7 @@ INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
     group g[GROUPS];
     uint32_t next = 0;
     memset(g, 0, sizeof g);
+    if (start && !lod) sink(r, b);
     for (;;) {
         bool more = false;
         for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, lod, start, &next);

@@ -336,7 +336,7 @@ static const svoi_rays_code *choose_code(svo_ray_kernel wanted, svo_ray_kernel *
     }
 #endif
 #if defined(SVO_COMPILED_AVX2) && defined(__x86_64__)
-    static const svoi_rays_code avx2 = {svoi_rays_prepare_avx2, svoi_rays_begin, svoi_rays_trace_avx2, svoi_rays_hits_avx2, svoi_rays_packet_avx2};
+    static const svoi_rays_code avx2 = {svoi_rays_prepare_avx2, svoi_rays_begin_avx2, svoi_rays_trace_avx2, svoi_rays_hits_avx2, svoi_rays_packet_avx2};
     if (wanted != SVO_KERNEL_PORTABLE && svoi_rays_have_avx2()) {
         *chosen = SVO_KERNEL_AVX2;
         return &avx2;

@@ -117,7 +117,7 @@ void svoi_rays_hits_avx512(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_h
 bool svoi_rays_packet_avx512(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
 bool svoi_rays_have_avx2(void);
 bool svoi_rays_prepare_avx2(const svo_rays *r, const svo_ray *rays, uint32_t count, svoi_ray_batch *b);
-void svoi_rays_begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
+void svoi_rays_begin_avx2(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t first, uint32_t count);
 void svoi_rays_trace_avx2(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b);
 void svoi_rays_hits_avx2(const svo_rays *r, bool lod, svoi_ray_batch *b, svo_hit *hits);
 bool svoi_rays_packet_avx2(const svo_rays *r, bool lod, bool any, svoi_ray_batch *b, uint32_t first, uint32_t count);
