@@ -16,7 +16,7 @@ bool svoi_rays_have_avx2(void) { return __builtin_cpu_supports("avx2") && __buil
 /* ---- traversal ---------------------------------------------------------------------------------------------------- */
 
 /* Lanes are refilled when REFILL or fewer are left. Where rays begin it is worth a look how far they can hit anything while WORTH of 8 may find out. */
-enum { LANES = 8, REFILL = 4, WORTH = 3 };
+enum { LANES = 8, REFILL = 5, WORTH = 3 };
 
 typedef struct pair { __m256d a, b; } pair; /* 8 doubles */
 
@@ -25,6 +25,8 @@ typedef struct group {
     _Alignas(32) int32_t q[3][LANES], s[LANES], node[LANES], ray[LANES], state[LANES], positive[3][LANES], backward[3][LANES], stack[SVOI_RAYS_LEVELS][LANES];
     _Alignas(32) float step[3][LANES];
     uint32_t active, finished; /* bit l: lane l */
+    __m256i w, lower, block, bit, child, missed, live, down, out[3]; /* what the parts of a round hand on */
+    pair leaves[3], nearest;
 } group;
 
 INLINE __m256i words(const int32_t *p) { return _mm256_load_si256((const __m256i *)p); }
@@ -47,11 +49,13 @@ INLINE __m256i both(__m256d a, __m256d b) /* masks of doubles to one of words */
     return _mm256_permute4x64_epi64(_mm256_castps_si256(m), 0xd8);
 }
 INLINE pair to_doubles(__m256i x) { return (pair){_mm256_cvtepi32_pd(_mm256_castsi256_si128(x)), _mm256_cvtepi32_pd(_mm256_extracti128_si256(x, 1))}; }
-INLINE __m256i count_bits(__m256i x)
+/* Bits of x and y together. */
+INLINE __m256i count_bits(__m256i x, __m256i y)
 {
     const __m256i nibble = _mm256_set1_epi8(15), table = _mm256_setr_epi8(0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4, 0, 1, 1, 2, 1, 2, 2, 3, 1, 2, 2, 3, 2, 3, 3, 4);
-    __m256i n = _mm256_add_epi8(_mm256_shuffle_epi8(table, _mm256_and_si256(x, nibble)), _mm256_shuffle_epi8(table, _mm256_and_si256(_mm256_srli_epi16(x, 4), nibble)));
-    return _mm256_madd_epi16(_mm256_maddubs_epi16(n, _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
+    const __m256i a = _mm256_add_epi8(_mm256_shuffle_epi8(table, _mm256_and_si256(x, nibble)), _mm256_shuffle_epi8(table, _mm256_and_si256(_mm256_srli_epi16(x, 4), nibble)));
+    const __m256i b = _mm256_add_epi8(_mm256_shuffle_epi8(table, _mm256_and_si256(y, nibble)), _mm256_shuffle_epi8(table, _mm256_and_si256(_mm256_srli_epi16(y, 4), nibble)));
+    return _mm256_madd_epi16(_mm256_maddubs_epi16(_mm256_add_epi8(a, b), _mm256_set1_epi8(1)), _mm256_set1_epi16(1));
 }
 /* Number of the highest bit; of 0 less than 0, of negative numbers 30 or 31. */
 INLINE __m256i highest_bit(__m256i x)
@@ -111,8 +115,10 @@ static bool refill(group *g, const svo_rays *r, svoi_ray_batch *b, bool lod, boo
     if (*next == end) return g->active != 0;
     if (g->finished != 0) flush(g, r, lod, b);
     g->finished = 0;
-    for (uint32_t empty = ~g->active & 0xff; empty != 0 && *next < end; empty &= empty - 1, ++*next) {
+    for (uint32_t empty = ~g->active & 0xff; empty != 0 && *next < end; ++*next) {
         const uint32_t l = (uint32_t)__builtin_ctz(empty), i = *next;
+        if (b->s[i] < 0) continue; /* `begin` has found that it hits nothing */
+        empty &= empty - 1;
         for (int k = 0; k < 3; k++) {
             const bool negative = signbit(from->d[k][i]);
             g->o[k][l] = from->o[k][i], g->d[k][l] = from->d[k][i], g->inv[k][l] = from->inv[k][i];
@@ -183,70 +189,87 @@ INLINE __m256i misses_box(const group *g, __m256i box, bool lod)
     return _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_GT_OQ));
 }
 
-/* One round: look at the cell, then go down, or leave it, or be done. The parts are those of svo_rays_avx512.c. */
-INLINE void advance(group *g, const svo_rays *r, bool lod)
+/* A round in the parts of svo_rays_avx512.c. The cell, whether it is filled, and whether the ray misses what is in the node. */
+INLINE void look(group *g, const svo_rays *r, bool lod)
 {
-    const __m256i zero = _mm256_setzero_si256(), one = word(1), three = word(3), s = words(g->s), fraction = word((int)r->fraction);
-    __m256i node[4], q[3];
+    const __m256i one = word(1), three = word(3), s = words(g->s);
+    __m256i node[4];
     load_nodes(r->units, g->node, node);
-    /* the cell, and whether it is filled */
-    const __m256i brick = _mm256_cmpeq_epi32(s, fraction), missed = _mm256_andnot_si256(brick, misses_box(g, node[3], lod));
-    for (int k = 0; k < 3; k++) q[k] = words(g->q[k]);
-    const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(q[0], s), three), y = _mm256_and_si256(_mm256_srlv_epi32(q[1], s), three), z = _mm256_and_si256(_mm256_srlv_epi32(q[2], s), three);
-    const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), upper = _mm256_cmpgt_epi32(z, one);
-    const __m256i w = choose(upper, node[1], node[0]), block = _mm256_and_si256(_mm256_srlv_epi32(w, _mm256_and_si256(c, word(0x0a))), word(0x00330033));
-    const __m256i bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
-    /* where the ray leaves the cell, the empty block of 2x2x2 cells, or the whole node */
-    __m256i edge = _mm256_add_epi32(s, _mm256_and_si256(_mm256_cmpeq_epi32(block, zero), one));
-    edge = choose(missed, _mm256_add_epi32(s, word(2)), edge);
-    const __m256i size = _mm256_sllv_epi32(one, edge), keep = _mm256_sllv_epi32(word(-1), edge);
-    __m256i out[3];
-    pair t[3], nearest;
+    const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[0]), s), three), y = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[1]), s), three), z = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[2]), s), three);
+    const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, node[1], node[0]);
+    g->w = w;
+    g->child = node[2];
+    g->lower = _mm256_and_si256(upper, node[0]); /* cells before those of w */
+    g->block = _mm256_and_si256(_mm256_srlv_epi32(w, _mm256_and_si256(c, word(0x0a))), word(0x00330033));
+    g->bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
+    g->missed = _mm256_andnot_si256(_mm256_cmpeq_epi32(s, word((int)r->fraction)), misses_box(g, node[3], lod));
+}
+
+/* Where the ray leaves the cell, the empty block of 2x2x2 cells, or the whole node. */
+INLINE void leave(group *g)
+{
+    const __m256i s = words(g->s), edge = choose(g->missed, _mm256_add_epi32(s, word(2)), _mm256_sub_epi32(s, _mm256_cmpeq_epi32(g->block, _mm256_setzero_si256())));
+    const __m256i size = _mm256_sllv_epi32(word(1), edge), keep = _mm256_sllv_epi32(word(-1), edge);
     for (int k = 0; k < 3; k++) {
-        out[k] = _mm256_add_epi32(_mm256_and_si256(q[k], keep), _mm256_and_si256(size, words(g->positive[k])));
-        const pair p = to_doubles(out[k]), o = doubles(g->o[k]), inv = doubles(g->inv[k]);
-        t[k] = (pair){_mm256_mul_pd(_mm256_sub_pd(p.a, o.a), inv.a), _mm256_mul_pd(_mm256_sub_pd(p.b, o.b), inv.b)};
+        const __m256i out = _mm256_add_epi32(_mm256_and_si256(words(g->q[k]), keep), _mm256_and_si256(size, words(g->positive[k])));
+        const pair p = to_doubles(out), o = doubles(g->o[k]), inv = doubles(g->inv[k]);
+        g->out[k] = out;
+        g->leaves[k] = (pair){_mm256_mul_pd(_mm256_sub_pd(p.a, o.a), inv.a), _mm256_mul_pd(_mm256_sub_pd(p.b, o.b), inv.b)};
     }
-    nearest = (pair){_mm256_min_pd(_mm256_min_pd(t[0].a, t[1].a), t[2].a), _mm256_min_pd(_mm256_min_pd(t[0].b, t[1].b), t[2].b)};
-    /* who has hit, who goes down, and to which child */
-    __m256i active = mask_of(g->active), here = _mm256_andnot_si256(missed, active);
-    __m256i filled = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), zero), here), hit = _mm256_and_si256(filled, brick), state = words(g->state);
-    const pair now = doubles(g->t);
+    g->nearest = (pair){_mm256_min_pd(_mm256_min_pd(g->leaves[0].a, g->leaves[1].a), g->leaves[2].a), _mm256_min_pd(_mm256_min_pd(g->leaves[0].b, g->leaves[1].b), g->leaves[2].b)};
+}
+
+/* Units of the child behind the bits of `w` below `bit` and those of `lower`, `first` being that of the first child; the children of `single` nodes are bricks. */
+INLINE __m256i child_of(__m256i first, __m256i w, __m256i bit, __m256i lower, __m256i single)
+{
+    const __m256i rank = count_bits(_mm256_and_si256(w, _mm256_sub_epi32(bit, word(1))), lower);
+    return _mm256_add_epi32(first, choose(single, rank, _mm256_slli_epi32(rank, 1)));
+}
+
+/* Who has hit, who goes down, and to which child. */
+INLINE void decide(group *g, const svo_rays *r, bool lod)
+{
+    const __m256i zero = _mm256_setzero_si256(), one = word(1), s = words(g->s), brick = _mm256_cmpeq_epi32(s, word((int)r->fraction));
+    __m256i active = mask_of(g->active), here = _mm256_andnot_si256(g->missed, active);
+    __m256i filled = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(g->w, g->bit), zero), here), hit = _mm256_and_si256(filled, brick), state = words(g->state);
     if (lod) {
-        const pair limit = limit_at(g, now);
-        const __m256i stop2 = _mm256_and_si256(_mm256_andnot_si256(_mm256_cmpeq_epi32(block, zero), here), within(_mm256_add_epi32(s, one), limit));
+        const pair limit = limit_at(g, doubles(g->t));
+        const __m256i stop2 = _mm256_and_si256(_mm256_andnot_si256(_mm256_cmpeq_epi32(g->block, zero), here), within(_mm256_add_epi32(s, one), limit));
         hit = _mm256_andnot_si256(stop2, _mm256_or_si256(hit, _mm256_and_si256(filled, within(s, limit))));
         state = choose(stop2, _mm256_add_epi32(s, word(2)), state);
         active = _mm256_andnot_si256(stop2, active);
         g->finished |= bits(stop2);
         filled = _mm256_andnot_si256(stop2, filled);
     }
-    state = choose(hit, _mm256_add_epi32(s, one), state);
+    put(g->state, choose(hit, _mm256_add_epi32(s, one), state));
     g->finished |= bits(hit);
     active = _mm256_andnot_si256(hit, active);
-    const __m256i down = _mm256_andnot_si256(hit, filled), go = _mm256_andnot_si256(down, active);
-    __m256i rank = count_bits(_mm256_and_si256(w, _mm256_sub_epi32(bit, one)));
-    rank = _mm256_add_epi32(rank, _mm256_and_si256(upper, count_bits(node[0])));
-    rank = choose(_mm256_cmpeq_epi32(s, word((int)r->fraction + 2)), rank, _mm256_slli_epi32(rank, 1));
-    const __m256i child = _mm256_add_epi32(node[2], rank);
-    /* the step: the next node and the place in it */
+    g->live = active;
+    g->down = _mm256_andnot_si256(hit, filled);
+    g->child = child_of(g->child, g->w, g->bit, g->lower, _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
+}
+
+/* Take the step: the next node and the place in it. */
+INLINE void step(group *g, const svo_rays *r)
+{
+    const __m256i zero = _mm256_setzero_si256(), one = word(1), s = words(g->s), down = g->down, active = g->live, go = _mm256_andnot_si256(down, active);
+    const pair now = doubles(g->t), nearest = g->nearest, t_max = doubles(g->t_max);
     _mm256_store_pd(g->t, _mm256_blendv_pd(now.a, nearest.a, _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm256_castsi256_si128(go)))));
     _mm256_store_pd(g->t + 4, _mm256_blendv_pd(now.b, nearest.b, _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm256_extracti128_si256(go, 1)))));
-    const pair t_max = doubles(g->t_max);
     const __m256i late = both(_mm256_cmp_pd(nearest.a, t_max.a, _CMP_GT_OQ), _mm256_cmp_pd(nearest.b, t_max.b, _CMP_GT_OQ)), unit_mask = word((1 << r->fraction) - 1);
     __m256i doubt = zero, changed = zero;
     for (int k = 0; k < 3; k++) {
-        const __m256i through = both(_mm256_cmp_pd(t[k].a, nearest.a, _CMP_LE_OQ), _mm256_cmp_pd(t[k].b, nearest.b, _CMP_LE_OQ));
-        const pair o = doubles(g->o[k]), d = doubles(g->d[k]);
+        const pair leaves = g->leaves[k], o = doubles(g->o[k]), d = doubles(g->d[k]);
+        const __m256i through = both(_mm256_cmp_pd(leaves.a, nearest.a, _CMP_LE_OQ), _mm256_cmp_pd(leaves.b, nearest.b, _CMP_LE_OQ)), q = words(g->q[k]);
         __m256i to = _mm256_inserti128_si256(_mm256_castsi128_si256(_mm256_cvttpd_epi32(_mm256_fmadd_pd(d.a, nearest.a, o.a))), _mm256_cvttpd_epi32(_mm256_fmadd_pd(d.b, nearest.b, o.b)), 1);
         const __m256i edge_far = _mm256_cmpgt_epi32(_mm256_and_si256(_mm256_add_epi32(to, one), unit_mask), one);
         doubt = _mm256_or_si256(doubt, _mm256_andnot_si256(_mm256_or_si256(through, edge_far), word(-1)));
-        to = choose(through, _mm256_add_epi32(out[k], words(g->backward[k])), to);
-        changed = _mm256_or_si256(changed, _mm256_xor_si256(to, q[k]));
-        put(g->q[k], choose(go, to, q[k]));
+        to = choose(through, _mm256_add_epi32(g->out[k], words(g->backward[k])), to);
+        changed = _mm256_or_si256(changed, _mm256_xor_si256(to, q));
+        put(g->q[k], choose(go, to, q));
     }
     const __m256i top = highest_bit(changed), up = _mm256_and_si256(go, _mm256_cmpgt_epi32(top, _mm256_add_epi32(s, one)));
-    __m256i to_s = _mm256_sub_epi32(s, _mm256_and_si256(down, word(2))), to_node = choose(down, child, words(g->node));
+    __m256i to_s = _mm256_sub_epi32(s, _mm256_and_si256(down, word(2))), to_node = choose(down, g->child, words(g->node));
     to_s = choose(up, _mm256_and_si256(top, word(SVOI_RAYS_BITS)), to_s); /* even */
     for (uint32_t k = 1; k < r->levels; k++) {
         const __m256i level = word((int)(r->fraction + 2 * k)), kept = choose(_mm256_cmpeq_epi32(s, level), words(g->node), words(g->stack[k]));
@@ -259,17 +282,8 @@ INLINE void advance(group *g, const svo_rays *r, bool lod)
     const __m256i outside = _mm256_andnot_si256(doubt, _mm256_cmpgt_epi32(top, word(SVOI_RAYS_BITS - 1)));
     const __m256i gone = _mm256_and_si256(go, _mm256_or_si256(late, outside));
     g->active = bits(_mm256_andnot_si256(_mm256_or_si256(gone, doubt), active));
-    put(g->state, choose(doubt, word(SVOI_RAY_DOUBT), state));
+    put(g->state, choose(doubt, word(SVOI_RAY_DOUBT), words(g->state)));
     g->finished |= bits(doubt);
-}
-
-/* Where the children of nodes lie: units of the child in the cell `bit` of the half `w` of a node's mask, behind the lower half where `upper`. */
-INLINE __m256i child_of(const __m256i node[4], __m256i w, __m256i bit, __m256i upper, __m256i single)
-{
-    const __m256i one = word(1);
-    __m256i rank = count_bits(_mm256_and_si256(w, _mm256_sub_epi32(bit, one)));
-    rank = _mm256_add_epi32(rank, _mm256_and_si256(upper, count_bits(node[0])));
-    return _mm256_add_epi32(node[2], choose(single, rank, _mm256_slli_epi32(rank, 1)));
 }
 
 /* The way down to where rays begin, all levels with all lanes; see svo_rays_avx512.c. */
@@ -325,12 +339,12 @@ INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch 
         if (lod) down = _mm256_andnot_si256(within(word((int)s), limit), down); /* one that is small enough may be a hit */
         alone = _mm256_and_si256(alone, down);
         if (bits(down) == 0) break;
-        const __m256i here = words(node), child = child_of(units, w, bit, upper, word(level == 1 ? -1 : 0));
+        const __m256i here = words(node), child = child_of(units[2], w, bit, _mm256_and_si256(upper, units[0]), word(level == 1 ? -1 : 0));
         put_any(&b->stack[level][i], here);
         put(node, choose(down, child, here));
         at = _mm256_sub_epi32(at, _mm256_and_si256(down, word(2)));
     }
-    put_any(&b->s[i], at);
+    put_any(&b->s[i], _mm256_or_si256(at, _mm256_castps_si256(_mm256_cmp_ps(reach, _mm256_setzero_ps(), _CMP_EQ_OQ)))); /* negative: hits nothing */
     put_any(&b->node[i], words(node));
     if (lod) return;
     reach = _mm256_mul_ps(reach, _mm256_set1_ps(1.00001f));
@@ -361,7 +375,7 @@ static void sink(const svo_rays *r, svoi_ray_batch *b)
             const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
             const __m256i upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, units[1], units[0]);
             down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), zero), down);
-            const __m256i child = child_of(units, w, bit, upper, _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
+            const __m256i child = child_of(units[2], w, bit, _mm256_and_si256(upper, units[0]), _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
             for (uint32_t k = 1; k < r->levels; k++)
                 _mm256_maskstore_epi32(&b->stack[k][i], _mm256_and_si256(down, _mm256_cmpeq_epi32(s, word((int)(r->fraction + 2 * k)))), node);
             node = choose(down, child, node);
@@ -372,7 +386,7 @@ static void sink(const svo_rays *r, svoi_ray_batch *b)
     }
 }
 
-/* Two groups take turns: while one waits for its last result the other works. */
+/* Two groups take turns part by part: while one waits for its last result the other works. */
 enum { GROUPS = 2 };
 
 INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
@@ -385,7 +399,10 @@ INLINE void trace(const svo_rays *r, bool lod, bool start, svoi_ray_batch *b)
         bool more = false;
         for (int i = 0; i < GROUPS; i++) more |= refill(&g[i], r, b, lod, start, &next);
         if (!more) break;
-        for (int i = 0; i < GROUPS; i++) advance(&g[i], r, lod);
+        for (int i = 0; i < GROUPS; i++) look(&g[i], r, lod);
+        for (int i = 0; i < GROUPS; i++) leave(&g[i]);
+        for (int i = 0; i < GROUPS; i++) decide(&g[i], r, lod);
+        for (int i = 0; i < GROUPS; i++) step(&g[i], r);
     }
     for (int i = 0; i < GROUPS; i++)
         if (g[i].finished != 0) flush(&g[i], r, lod, b);
