@@ -4,10 +4,13 @@
 
 #include <stdlib.h>
 #include <string.h>
+#ifdef __AVX2__
+#include <immintrin.h>
+#endif
 
 #include "svo_task.h"
 
-enum { LARGE = 4 /* widths of phase one: 0..3 */, WIDTHS = 9 /* of phase two: 0..8 */, PIECES = 64, PROBE = 32, MOST_WORKERS = 256 };
+enum { LARGE = 4 /* widths of phase one: 0..3 */, WIDTHS = 9 /* of phase two: 0..8 */, LEAF = 16 /* runs */, PROBE = 32, MOST_WORKERS = 256 };
 
 typedef struct part { uint32_t begin, end; } part; /* runs */
 typedef struct found { uint64_t begin, end; uint32_t bits; } found; /* values */
@@ -18,6 +21,18 @@ typedef struct list {
     uint64_t count, capacity;
 } list;
 
+/* What a worker looks at: the runs of a zone, and a part of them. */
+typedef struct scratch {
+    uint32_t room, runs;
+    uint32_t *value;  /* of each run */
+    uint64_t *start;  /* of each run, and where the last one ends */
+    uint32_t *reach[LARGE]; /* runs from i to reach[w][i] hold at most 2^w different values */
+    uint32_t origin, leaves; /* of the trees: a run, and a power of two */
+    uint32_t *best[LARGE]; /* from which run of a leaf, or of all below, the largest block begins */
+    part *stack;      /* what is left to do */
+    uint64_t stack_count, stack_capacity;
+} scratch;
+
 typedef struct state {
     const svo_allocator *a;
     const uint32_t *index;
@@ -27,17 +42,9 @@ typedef struct state {
     uint64_t probes;
     uint8_t *hot;     /* of each probe: at most eight values, perhaps */
     gap *zones;
-    uint32_t *zone_run; /* of each zone its first run, and behind the last */
     uint64_t zone_count, zone_capacity;
-    uint32_t runs;    /* of all zones, with an empty one behind those of each */
-    uint32_t *value;  /* of each run */
-    uint64_t *start;  /* of each run; the empty ones begin where their zones end */
-    uint32_t *reach[LARGE]; /* runs from i to reach[w][i] hold at most 2^w different values */
-    uint32_t leaves;  /* a power of two */
-    uint32_t *best[LARGE]; /* a tree over runs: from which the largest block begins */
-    part *stack;      /* what is left to do before pieces are given to threads */
-    uint64_t stack_count, stack_capacity;
-    list *lists;      /* of each worker */
+    scratch *scratches; /* of each worker */
+    list *lists;
     gap *gaps;        /* what phase one left */
     uint64_t gap_count;
 } state;
@@ -58,18 +65,18 @@ static bool add(const state *s, list *l, uint64_t begin, uint64_t end, uint32_t 
     return true;
 }
 
-static bool push(const state *s, part **stack, uint64_t *count, uint64_t *capacity, part p)
+static bool push(const state *s, scratch *z, part p)
 {
     if (p.begin >= p.end) return true;
-    if (*count == *capacity) {
-        uint64_t more = *capacity * 2 + 256;
+    if (z->stack_count == z->stack_capacity) {
+        uint64_t more = z->stack_capacity * 2 + 256;
         part *at = svo_alloc(s->a, more, sizeof *at);
         if (at == NULL) return false;
-        if (*count != 0) memcpy(at, *stack, (size_t)*count * sizeof *at);
-        svo_free(s->a, *stack, *capacity, sizeof *at);
-        *stack = at, *capacity = more;
+        if (z->stack_count != 0) memcpy(at, z->stack, (size_t)z->stack_count * sizeof *at);
+        svo_free(s->a, z->stack, z->stack_capacity, sizeof *z->stack);
+        z->stack = at, z->stack_capacity = more;
     }
-    (*stack)[(*count)++] = p;
+    z->stack[z->stack_count++] = p;
     return true;
 }
 
@@ -138,48 +145,7 @@ static svo_result find_zones(state *s, svo_error *err)
     return SVO_OK;
 }
 
-/* Is there a block in the zone that saves something? `times` is all 0 before and after. */
-static bool worth_it(const state *s, gap z, uint32_t *times)
-{
-    const uint32_t *v = s->index;
-    for (uint32_t w = 0; w < LARGE; w++) {
-        const uint64_t shortest = ((uint64_t)s->table_bits << w) + s->directory_bits + 1;
-        uint64_t begin = z.begin, end = z.begin;
-        uint32_t distinct = 0;
-        bool enough = false;
-        for (; end < z.end && !enough; end++) {
-            if (times[v[end]]++ == 0) distinct++;
-            for (; distinct > 1u << w; begin++)
-                if (--times[v[begin]] == 0) distinct--;
-            enough = end + 1 - begin >= shortest;
-        }
-        for (; begin < end; begin++) times[v[begin]] = 0;
-        if (enough) return true;
-    }
-    return false;
-}
-
-static svo_result look_at_zones(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    state *s = user;
-    uint32_t *times = svo_calloc(s->a, s->table_count, sizeof *times);
-    if (times == NULL) return no_memory(err);
-    for (uint64_t z = begin; z < end; z++)
-        if (!worth_it(s, s->zones[z], times)) s->zones[z].end = s->zones[z].begin;
-    svo_free(s->a, times, s->table_count, sizeof *times);
-    return SVO_OK;
-}
-
-static svo_result drop_zones(state *s, svo_error *err)
-{
-    SVO_TRY(svo_parallel_for(s->threads, s->zone_count, 1024, look_at_zones, s, err));
-    uint64_t kept = 0;
-    for (uint64_t z = 0; z < s->zone_count; z++)
-        if (s->zones[z].begin < s->zones[z].end) s->zones[kept++] = s->zones[z];
-    s->zone_count = kept;
-    return SVO_OK;
-}
+/* --- windows and the tree of maxima ------------------------------------------------------------------------------ */
 
 static uint64_t count_runs(const uint32_t *v, uint64_t n)
 {
@@ -188,156 +154,175 @@ static uint64_t count_runs(const uint32_t *v, uint64_t n)
     return runs;
 }
 
-static svo_result count_zones(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+/* Elements of a tree over so many runs: leaves are a power of two. */
+static uint64_t nodes_of(uint32_t runs) { return 4 * ((uint64_t)runs / LEAF + 1); }
+
+static void forget_room(const state *s, scratch *z)
 {
-    (void)worker, (void)err;
-    state *s = user;
-    for (uint64_t z = begin; z < end; z++) {
-        uint64_t runs = count_runs(s->index + s->zones[z].begin, s->zones[z].end - s->zones[z].begin) + 1;
-        s->zone_run[z] = runs < UINT32_MAX / 2 ? (uint32_t)runs : UINT32_MAX / 2;
+    for (uint32_t w = 0; w < LARGE; w++) {
+        svo_free(s->a, z->reach[w], z->room, sizeof *z->reach[w]);
+        svo_free(s->a, z->best[w], nodes_of(z->room), sizeof *z->best[w]);
+        z->reach[w] = z->best[w] = NULL;
     }
-    return SVO_OK;
+    svo_free(s->a, z->value, z->room, sizeof *z->value);
+    svo_free(s->a, z->start, z->room, sizeof *z->start);
+    z->value = NULL, z->start = NULL, z->room = 0;
 }
 
-static svo_result fill_zones(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+/* Memory for a zone: of runs, which a worker uses again for the next. */
+static bool make_room(const state *s, scratch *z, uint32_t runs)
 {
-    (void)worker, (void)err;
-    state *s = user;
-    for (uint64_t z = begin; z < end; z++) {
-        uint32_t at = s->zone_run[z], value = 0;
-        gap g = s->zones[z];
-        for (uint64_t i = g.begin; i < g.end; i++) {
-            if (i != g.begin && s->index[i] == value) continue;
-            s->value[at] = value = s->index[i];
-            s->start[at++] = i;
+    if (runs <= z->room) return true;
+    forget_room(s, z);
+    uint32_t room = 1024;
+    while (room < runs) room = room < UINT32_MAX / 4 ? 2 * room : runs;
+    z->room = room;
+    z->value = svo_alloc(s->a, room, sizeof *z->value);
+    z->start = svo_alloc(s->a, room, sizeof *z->start);
+    bool ok = z->value != NULL && z->start != NULL;
+    for (uint32_t w = 0; w < LARGE; w++) {
+        z->reach[w] = svo_alloc(s->a, room, sizeof *z->reach[w]);
+        z->best[w] = svo_alloc(s->a, nodes_of(room), sizeof *z->best[w]);
+        ok = ok && z->reach[w] != NULL && z->best[w] != NULL;
+    }
+    return ok;
+}
+
+/* Runs of a zone and where it ends. */
+static void find_runs(const state *s, gap g, scratch *z)
+{
+    const uint32_t *v = s->index;
+    uint32_t at = 0;
+    z->value[0] = v[g.begin], z->start[0] = g.begin;
+    for (uint64_t i = g.begin + 1; i < g.end; i++) { /* without a branch: the next run's place is written until it begins */
+        z->value[at + 1] = v[i], z->start[at + 1] = i;
+        at += v[i] != v[i - 1];
+    }
+    z->runs = at + 1;
+    z->start[z->runs] = g.end;
+}
+
+/* reach: backwards, with the nine different values that come next, in order of where each comes first. A run's value goes to the front, and those
+ * before its old place, or all if it was none of the nine, move back by one. */
+#ifdef __AVX2__
+static void find_reach(scratch *z)
+{
+    static const uint32_t back[9][8] = {{0, 1, 2, 3, 4, 5, 6, 7}, {0, 0, 2, 3, 4, 5, 6, 7}, {0, 0, 1, 3, 4, 5, 6, 7}, {0, 0, 1, 2, 4, 5, 6, 7}, {0, 0, 1, 2, 3, 5, 6, 7},
+                                        {0, 0, 1, 2, 3, 4, 6, 7}, {0, 0, 1, 2, 3, 4, 5, 7}, {0, 0, 1, 2, 3, 4, 5, 6}, {0, 0, 1, 2, 3, 4, 5, 6}};
+    __m256i values = _mm256_set1_epi32(-1), places = _mm256_set1_epi32((int)z->runs);
+    uint32_t ninth = z->runs;
+    for (uint32_t i = z->runs; i-- > 0;) {
+        const __m256i v = _mm256_set1_epi32((int)z->value[i]);
+        const uint32_t old = (uint32_t)__builtin_ctz((uint32_t)_mm256_movemask_ps(_mm256_castsi256_ps(_mm256_cmpeq_epi32(values, v))) | 256);
+        const __m256i order = _mm256_loadu_si256((const __m256i *)back[old]);
+        const uint32_t eighth = (uint32_t)_mm256_extract_epi32(places, 7);
+        ninth = old == 8 ? eighth : ninth;
+        values = _mm256_blend_epi32(_mm256_permutevar8x32_epi32(values, order), v, 1);
+        places = _mm256_blend_epi32(_mm256_permutevar8x32_epi32(places, order), _mm256_set1_epi32((int)i), 1);
+        z->reach[0][i] = i + 1;
+        z->reach[1][i] = (uint32_t)_mm256_extract_epi32(places, 2);
+        z->reach[2][i] = (uint32_t)_mm256_extract_epi32(places, 4);
+        z->reach[3][i] = ninth;
+    }
+}
+#else
+static void find_reach(scratch *z)
+{
+    uint32_t values[9], places[9];
+    for (int q = 0; q < 9; q++) values[q] = UINT32_MAX, places[q] = z->runs;
+    for (uint32_t i = z->runs; i-- > 0;) {
+        uint32_t value = z->value[i], place = i;
+        for (int q = 0; q < 9; q++) {
+            const uint32_t v = values[q], at = places[q];
+            values[q] = value, places[q] = place;
+            if (v == z->value[i]) break;
+            value = v, place = at;
         }
-        s->value[at] = value, s->start[at] = g.end;
+        for (uint32_t w = 0; w < LARGE; w++) z->reach[w][i] = places[1 << w];
     }
-    return SVO_OK;
 }
+#endif
 
-static svo_result find_runs(state *s, svo_error *err)
+static uint64_t length(const scratch *z, uint32_t w, uint32_t i) { return i == UINT32_MAX ? 0 : z->start[z->reach[w][i]] - z->start[i]; }
+
+static uint32_t longer(const scratch *z, uint32_t w, uint32_t x, uint32_t y)
 {
-    s->zone_run = svo_alloc(s->a, s->zone_count + 1, sizeof *s->zone_run);
-    if (s->zone_run == NULL) return no_memory(err);
-    SVO_TRY(svo_parallel_for(s->threads, s->zone_count, 16, count_zones, s, err));
-    uint64_t runs = 0;
-    for (uint64_t z = 0; z < s->zone_count; z++) {
-        uint64_t some = s->zone_run[z];
-        s->zone_run[z] = (uint32_t)runs;
-        runs += some;
-        if (runs >= UINT32_MAX / 2) return svo_fail(err, SVO_LIMIT, "more than 2^31 runs of values");
-    }
-    s->zone_run[s->zone_count] = s->runs = (uint32_t)runs;
-    s->value = svo_alloc(s->a, runs, sizeof *s->value);
-    s->start = svo_alloc(s->a, runs, sizeof *s->start);
-    if (runs != 0 && (s->value == NULL || s->start == NULL)) return no_memory(err);
-    s->leaves = 1;
-    while (s->leaves < s->runs) s->leaves *= 2;
-    return svo_parallel_for(s->threads, s->zone_count, 16, fill_zones, s, err);
-}
-
-/* --- windows and the tree of maxima ------------------------------------------------------------------------------ */
-
-static uint64_t length(const state *s, uint32_t w, uint32_t i) { return i == UINT32_MAX ? 0 : s->start[s->reach[w][i]] - s->start[i]; }
-
-static uint32_t longer(const state *s, uint32_t w, uint32_t x, uint32_t y)
-{
-    uint64_t a = length(s, w, x), b = length(s, w, y);
+    uint64_t a = length(z, w, x), b = length(z, w, y);
     return a > b || (a == b && x < y) ? x : y;
 }
 
-static svo_result make_width(state *s, uint32_t w, svo_error *err)
+/* The first of the longest of runs [from, to), or `best` if that is longer or as long and before them. */
+static uint32_t longest(const scratch *z, uint32_t w, uint32_t from, uint32_t to, uint32_t best)
 {
-    uint32_t *times = svo_calloc(s->a, s->table_count, sizeof *times);
-    s->reach[w] = svo_alloc(s->a, s->runs, sizeof *s->reach[w]);
-    s->best[w] = svo_alloc(s->a, 2 * (uint64_t)s->leaves, sizeof *s->best[w]);
-    if (times == NULL || s->reach[w] == NULL || s->best[w] == NULL) {
-        svo_free(s->a, times, s->table_count, sizeof *times);
-        return no_memory(err);
+    uint64_t most = length(z, w, best);
+    for (uint32_t i = from; i < to; i++) {
+        uint64_t n = z->start[z->reach[w][i]] - z->start[i];
+        if (n > most) most = n, best = i;
     }
-    for (uint64_t z = 0; z < s->zone_count; z++) {
-        uint32_t first = s->zone_run[z], last = s->zone_run[z + 1] - 1, distinct = 0, end = first;
-        for (uint32_t i = first; i < last; i++) {
-            for (; end < last; end++) {
-                if (times[s->value[end]] == 0) {
-                    if (distinct == 1u << w) break;
-                    distinct++;
-                }
-                times[s->value[end]]++;
-            }
-            s->reach[w][i] = end;
-            if (--times[s->value[i]] == 0) distinct--;
-        }
-        s->reach[w][last] = last;
-    }
-    svo_free(s->a, times, s->table_count, sizeof *times);
-    for (uint32_t i = 0; i < s->leaves; i++) s->best[w][s->leaves + i] = i < s->runs ? i : UINT32_MAX;
-    for (uint32_t i = s->leaves; i-- > 1;) s->best[w][i] = longer(s, w, s->best[w][2 * i], s->best[w][2 * i + 1]);
-    return SVO_OK;
+    return best;
 }
 
-static svo_result make_widths(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+/* Trees over the runs of a part, a leaf for every LEAF of them. */
+static void make_trees(scratch *z, part p)
 {
-    (void)worker;
-    for (uint64_t w = begin; w < end; w++) SVO_TRY(make_width(user, (uint32_t)w, err));
-    return SVO_OK;
+    uint32_t count = (p.end - p.begin + LEAF - 1) / LEAF;
+    z->leaves = 1;
+    while (z->leaves < count) z->leaves *= 2;
+    z->origin = p.begin;
+    for (uint32_t w = 0; w < LARGE; w++) {
+        uint32_t *best = z->best[w];
+        for (uint32_t i = 0; i < z->leaves; i++) {
+            uint32_t from = p.begin + i * LEAF, to = from + LEAF < p.end ? from + LEAF : p.end;
+            best[z->leaves + i] = i < count ? longest(z, w, from, to, UINT32_MAX) : UINT32_MAX;
+        }
+        for (uint32_t i = z->leaves; i-- > 1;) best[i] = longer(z, w, best[2 * i], best[2 * i + 1]);
+    }
 }
 
 /* The largest block of at most 2^w values inside the part. */
-static part largest(const state *s, part p, uint32_t w)
+static part largest(const scratch *z, part p, uint32_t w)
 {
     /* from `cut` on blocks are cut off by the end of the part: the first of those is the largest */
     uint32_t low = p.begin, high = p.end;
     while (low < high) {
         uint32_t middle = low + (high - low) / 2;
-        if (s->reach[w][middle] < p.end) low = middle + 1;
+        if (z->reach[w][middle] < p.end) low = middle + 1;
         else high = middle;
     }
-    uint32_t cut = low, best = UINT32_MAX;
-    for (uint32_t l = p.begin + s->leaves, r = cut + s->leaves; l < r; l >>= 1, r >>= 1) {
-        if (l & 1) best = longer(s, w, best, s->best[w][l++]);
-        if (r & 1) best = longer(s, w, best, s->best[w][--r]);
+    const uint32_t cut = low, first = (p.begin - z->origin + LEAF - 1) / LEAF, last = (cut - z->origin) / LEAF;
+    uint32_t best = UINT32_MAX;
+    if (first >= last) {
+        best = longest(z, w, p.begin, cut, best);
+    } else {
+        best = longest(z, w, p.begin, z->origin + first * LEAF, best);
+        uint32_t inside = UINT32_MAX;
+        for (uint32_t l = first + z->leaves, r = last + z->leaves; l < r; l >>= 1, r >>= 1) {
+            if (l & 1) inside = longer(z, w, inside, z->best[w][l++]);
+            if (r & 1) inside = longer(z, w, inside, z->best[w][--r]);
+        }
+        best = longer(z, w, best, inside);
+        best = longest(z, w, z->origin + last * LEAF, cut, best);
     }
-    if (cut < p.end && (best == UINT32_MAX || s->start[p.end] - s->start[cut] > length(s, w, best))) return (part){cut, p.end};
-    return (part){best, s->reach[w][best]};
+    if (cut < p.end && (best == UINT32_MAX || z->start[p.end] - z->start[cut] > length(z, w, best))) return (part){cut, p.end};
+    return (part){best, z->reach[w][best]};
 }
 
 /* --- the two phases ---------------------------------------------------------------------------------------------- */
 
 static uint64_t memory(const state *s, uint64_t n, uint32_t w) { return n * w + ((uint64_t)s->table_bits << w) + s->directory_bits; }
 
+/* Values of the shortest block of w bits that saves something. */
+static uint64_t shortest(const state *s, uint32_t w) { return ((uint64_t)s->table_bits << w) + s->directory_bits + 1; }
+
 /* One step of FindLargeBlocks: a block, or nothing (then the part is for phase two). */
-static bool large(const state *s, part p, part *block, uint32_t *bits)
+static bool large(const state *s, const scratch *z, part p, part *block, uint32_t *bits)
 {
-    for (uint32_t w = 0; w < LARGE; w++) {
-        *block = largest(s, p, w);
-        uint64_t n = s->start[block->end] - s->start[block->begin];
+    for (uint32_t w = 0; w < LARGE && z->start[p.end] - z->start[p.begin] >= shortest(s, w); w++) {
+        *block = largest(z, p, w);
         *bits = w;
-        if (memory(s, n, w) < n * (w + 1)) return true;
+        if (z->start[block->end] - z->start[block->begin] >= shortest(s, w)) return true;
     }
     return false;
-}
-
-static svo_result do_pieces(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    state *s = user;
-    list *l = &s->lists[worker];
-    part *stack = NULL, block;
-    uint64_t count = 0, capacity = 0;
-    uint32_t bits;
-    bool ok = true;
-    for (uint64_t i = begin; i < end && ok; i++) {
-        ok = push(s, &stack, &count, &capacity, s->stack[i]);
-        while (ok && count != 0) {
-            part p = stack[--count];
-            if (large(s, p, &block, &bits))
-                ok = add(s, l, s->start[block.begin], s->start[block.end], bits) && push(s, &stack, &count, &capacity, (part){p.begin, block.begin}) &&
-                     push(s, &stack, &count, &capacity, (part){block.end, p.end});
-        }
-    }
-    svo_free(s->a, stack, capacity, sizeof *stack);
-    return ok ? SVO_OK : no_memory(err);
 }
 
 static int compare_found(const void *a, const void *b)
@@ -346,58 +331,101 @@ static int compare_found(const void *a, const void *b)
     return (x->begin > y->begin) - (x->begin < y->begin);
 }
 
-/* What the workers found behind *head, in order. */
-static bool gather(state *s, list *head)
+/* Its blocks, in order. */
+static bool do_part(const state *s, scratch *z, part p, list *l)
 {
-    bool ok = true;
-    for (uint32_t i = 0; i < s->threads && ok; i++) {
-        for (uint64_t k = 0; k < s->lists[i].count && ok; k++) ok = add(s, head, s->lists[i].at[k].begin, s->lists[i].at[k].end, s->lists[i].at[k].bits);
-        s->lists[i].count = 0;
+    part block;
+    uint32_t bits;
+    const uint64_t first = l->count;
+    make_trees(z, p);
+    bool ok = push(s, z, p);
+    while (ok && z->stack_count != 0) {
+        p = z->stack[--z->stack_count];
+        if (large(s, z, p, &block, &bits))
+            ok = add(s, l, z->start[block.begin], z->start[block.end], bits) && push(s, z, (part){p.begin, block.begin}) && push(s, z, (part){block.end, p.end});
     }
-    if (ok && head->count != 0) qsort(head->at, (size_t)head->count, sizeof *head->at, compare_found);
+    if (l->count > first + 1) qsort(l->at + first, (size_t)(l->count - first), sizeof *l->at, compare_found);
     return ok;
 }
 
-/* Zones are independent, and so are parts once they are cut: cut the largest ones here until there are enough for all threads. */
+/* Blocks that save something lie side by side in parts that have nothing to do with each other. */
+static bool do_zone(const state *s, scratch *z, list *l)
+{
+    part p = {0, 0};
+    bool ok = true;
+    for (uint32_t i = 0; i < z->runs && ok; i++) {
+        uint32_t to = 0;
+        for (uint32_t w = 0; w < LARGE; w++)
+            if (length(z, w, i) >= shortest(s, w)) to = z->reach[w][i]; /* the farthest: reach grows with w */
+        if (to == 0) continue;
+        if (i >= p.end) {
+            if (p.begin < p.end) ok = do_part(s, z, p, l);
+            p = (part){i, to};
+        }
+        if (to > p.end) p.end = to;
+    }
+    if (ok && p.begin < p.end) ok = do_part(s, z, p, l);
+    return ok;
+}
+
+static svo_result do_zones(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    state *s = user;
+    scratch *z = &s->scratches[worker];
+    for (uint64_t i = begin; i < end; i++) {
+        uint64_t runs = count_runs(s->index + s->zones[i].begin, s->zones[i].end - s->zones[i].begin);
+        if (runs >= UINT32_MAX / 2) return svo_fail(err, SVO_LIMIT, "more than 2^31 runs of values");
+        if (!make_room(s, z, (uint32_t)runs + 1)) return no_memory(err);
+        find_runs(s, s->zones[i], z);
+        find_reach(z);
+        if (!do_zone(s, z, &s->lists[worker])) return no_memory(err);
+    }
+    return SVO_OK;
+}
+
+/* What is in *head and what the workers found, all of them in order, in *head. */
+static bool gather(state *s, list *head)
+{
+    const list *from[MOST_WORKERS + 1] = {head};
+    uint64_t at[MOST_WORKERS + 1] = {0}, count = head->count;
+    list all = {0};
+    for (uint32_t i = 0; i < s->threads; i++) from[i + 1] = &s->lists[i], count += s->lists[i].count;
+    if (count != 0 && (all.at = svo_alloc(s->a, count, sizeof *all.at)) == NULL) return false;
+    all.capacity = count;
+    while (all.count < count) { /* from the list that is first, up to where another is */
+        uint64_t least = UINT64_MAX, next = UINT64_MAX;
+        uint32_t pick = 0;
+        for (uint32_t i = 0; i <= s->threads; i++) {
+            uint64_t begin = at[i] < from[i]->count ? from[i]->at[at[i]].begin : UINT64_MAX;
+            if (begin < least) next = least, least = begin, pick = i;
+            else if (begin < next) next = begin;
+        }
+        while (at[pick] < from[pick]->count && from[pick]->at[at[pick]].begin < next) all.at[all.count++] = from[pick]->at[at[pick]++];
+    }
+    for (uint32_t i = 0; i < s->threads; i++) s->lists[i].count = 0;
+    svo_free(s->a, head->at, head->capacity, sizeof *head->at);
+    *head = all;
+    return true;
+}
+
+/* Zones are independent. */
 static svo_result phase_one(state *s, list *head, svo_error *err)
 {
     SVO_TRY(find_zones(s, err));
-    SVO_TRY(drop_zones(s, err));
-    if (s->zone_count == 0) return SVO_OK;
-    SVO_TRY(find_runs(s, err));
-    SVO_TRY(svo_parallel_for(s->threads, LARGE, 1, make_widths, s, err));
-    bool ok = true;
-    for (uint64_t z = 0; z < s->zone_count && ok; z++) ok = push(s, &s->stack, &s->stack_count, &s->stack_capacity, (part){s->zone_run[z], s->zone_run[z + 1] - 1});
-    for (uint64_t step = 0; ok && s->threads > 1 && s->stack_count != 0 && s->stack_count < PIECES && step < 4 * PIECES; step++) {
-        uint64_t pick = 0;
-        for (uint64_t i = 1; i < s->stack_count; i++)
-            if (s->stack[i].end - s->stack[i].begin > s->stack[pick].end - s->stack[pick].begin) pick = i;
-        part p = s->stack[pick], block;
-        uint32_t bits;
-        s->stack[pick] = s->stack[--s->stack_count];
-        if (large(s, p, &block, &bits))
-            ok = add(s, head, s->start[block.begin], s->start[block.end], bits) && push(s, &s->stack, &s->stack_count, &s->stack_capacity, (part){p.begin, block.begin}) &&
-                 push(s, &s->stack, &s->stack_count, &s->stack_capacity, (part){block.end, p.end});
-    }
-    if (!ok) return no_memory(err);
-    SVO_TRY(svo_parallel_for(s->threads, s->stack_count, 16, do_pieces, s, err));
+    SVO_TRY(svo_parallel_for(s->threads, s->zone_count, 1, do_zones, s, err));
     return gather(s, head) ? SVO_OK : no_memory(err);
 }
 
 static void forget_phase_one(state *s)
 {
-    for (uint32_t w = 0; w < LARGE; w++) {
-        svo_free(s->a, s->reach[w], s->runs, sizeof(uint32_t));
-        svo_free(s->a, s->best[w], 2 * (uint64_t)s->leaves, sizeof(uint32_t));
-        s->reach[w] = s->best[w] = NULL;
+    for (uint32_t i = 0; i < s->threads; i++) {
+        scratch *z = &s->scratches[i];
+        forget_room(s, z);
+        svo_free(s->a, z->stack, z->stack_capacity, sizeof *z->stack);
     }
-    svo_free(s->a, s->stack, s->stack_capacity, sizeof *s->stack);
-    svo_free(s->a, s->value, s->runs, sizeof *s->value);
-    svo_free(s->a, s->start, s->runs, sizeof *s->start);
-    svo_free(s->a, s->zone_run, s->zone_count + 1, sizeof *s->zone_run);
     svo_free(s->a, s->zones, s->zone_capacity, sizeof *s->zones);
     svo_free(s->a, s->hot, s->probes + 1, 1);
-    s->stack = NULL, s->value = NULL, s->start = NULL, s->zone_run = NULL, s->zones = NULL, s->hot = NULL;
+    s->zones = NULL, s->hot = NULL, s->scratches = NULL;
 }
 
 /* FindRemainingBlocks, from the first value of what is left. `seen` holds the stamp with which a table index was last met. A block of w bits a value
@@ -567,11 +595,12 @@ svo_result svoi_algorithm1(const uint32_t *index, uint64_t count, uint64_t table
     state s = {.a = a, .index = index, .count = count, .table_count = table_count, .directory_bits = directory_bits, .table_bits = table_bits,
                .threads = threads != 0 ? threads : svo_processor_count()};
     list head = {0}, lists[MOST_WORKERS] = {0};
+    scratch scratches[MOST_WORKERS] = {0};
     svo_algorithm1_result r = {0};
     *out = r;
     if (count == 0) return SVO_OK;
     if (s.threads > MOST_WORKERS) s.threads = MOST_WORKERS;
-    s.lists = lists;
+    s.lists = lists, s.scratches = scratches;
     double started = svo_seconds();
     svo_result result = phase_one(&s, &head, err);
     forget_phase_one(&s);

@@ -11,7 +11,7 @@
  * A line of CSV a method and setting: bits a value (tables, directories and headers included), CIE94 mean and largest,
  * PSNR and largest difference of a byte, millions of values coded a CPU second, nanoseconds of a random access whose
  * place depends on the last one (best of 5). Errors are measured on what the decoders return. -b N: times Algorithm 1's
- * search for blocks, as printed (brute force), on the first N, 2N, 4N ... values for at most 20 seconds each. */
+ * search for blocks, as printed (brute force), on the first N, 2N, 4N ... values for at most 20 seconds each, and ours. */
 #define _POSIX_C_SOURCE 200809L
 #include <math.h>
 #include <stdio.h>
@@ -365,7 +365,16 @@ out:
     return seconds < limit ? seconds : -1;
 }
 
-/* Seconds of the printed phase one (CPU time of one thread; -1: more than `limit`), then of ours and of both phases on one thread and on all (wall time). */
+enum { TIMES = 7 };
+
+static int compare_double(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Seconds of the printed phase one (CPU time of one thread; -1: more than `limit`), then of ours and of both phases on one thread and on all (wall time,
+ * the median of TIMES runs). */
 static void growth(const stream *s, uint64_t first, uint32_t bits, double limit)
 {
     uint32_t *table, *entry, *index = get(s->count, 4);
@@ -377,11 +386,17 @@ static void growth(const stream *s, uint64_t first, uint32_t bits, double limit)
         svo_error err;
         double slow = slow_enough ? brute_force(index, m, n, limit) : -1, large[2], all[2];
         for (int k = 0; k < 2; k++) {
-            double started = svo_seconds();
-            if (svo_algorithm1(index, m, n, 64, k == 0 ? 1 : s->threads, NULL, &r, &err) != SVO_OK) die(err.message);
-            all[k] = svo_seconds() - started;
-            large[k] = r.seconds_large;
-            svo_algorithm1_free(&r, NULL);
+            double both[TIMES], one[TIMES];
+            for (int t = 0; t < TIMES; t++) {
+                double started = svo_seconds();
+                if (svo_algorithm1(index, m, n, 64, k == 0 ? 1 : s->threads, NULL, &r, &err) != SVO_OK) die(err.message);
+                both[t] = svo_seconds() - started;
+                one[t] = r.seconds_large;
+                svo_algorithm1_free(&r, NULL);
+            }
+            qsort(both, TIMES, sizeof *both, compare_double);
+            qsort(one, TIMES, sizeof *one, compare_double);
+            all[k] = both[TIMES / 2], large[k] = one[TIMES / 2];
         }
         printf("%s,%u,%llu,%.3f,%.5f,%.5f,%.4f,%.4f,%.0f\n", s->name, bits, (unsigned long long)m, slow, large[0], large[1], all[0], all[1], slow > 0 ? slow / large[1] : -1);
         slow_enough = slow >= 0;
