@@ -5,6 +5,7 @@
 
 #include "svoi_channel.h"
 #include "svoi_shade.h"
+#include "svoi_shade_avx2.h"
 #include "svoi_shade_wide.h"
 
 /* --- where -------------------------------------------------------------------------------------------------------- */
@@ -460,6 +461,15 @@ static void write_colors(float (*color)[SVOI_LANES], const uint32_t *index, uint
         uint8_t pixels[3 * SVOI_LANES + BEHIND];
         svoi_wide_colors(svoi_srgb_steps(), color[0], color[1], color[2], count, pixels);
         svoi_wide_put(pixels, 3, index, count, out);
+        return;
+    }
+    if (svoi_avx2_has()) {
+        uint8_t pixels[3 * SVOI_LANES + BEHIND];
+        svoi_avx2_colors(svoi_srgb_steps(), color[0], color[1], color[2], count, pixels);
+        for (uint32_t i = 0; i < count; i++) {
+            uint8_t *to = out + 3 * (uint64_t)index[i];
+            to[0] = pixels[3 * i], to[1] = pixels[3 * i + 1], to[2] = pixels[3 * i + 2];
+        }
         return;
     }
     uint8_t bytes[3][SVOI_LANES];

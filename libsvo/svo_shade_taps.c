@@ -5,6 +5,7 @@
 
 #include "svoi_lanes.h"
 #include "svoi_shade.h"
+#include "svoi_shade_avx2.h"
 #include "svoi_shade_wide.h"
 
 enum { MOST = 128, ACROSS = 4 }; /* readings of a footprint, and across its short axis */
@@ -140,6 +141,12 @@ static inline bool reads_bytes(const svo_pyramid *p, uint32_t level)
     return p->texels[level] == NULL && p->kind == SVO_TEXEL_COLOR && !p->outside && (uint64_t)p->width[0] * p->height[0] < (uint64_t)1 << 29 && svoi_bytes_has_wide();
 }
 
+/* Can the code for eight lanes read the level? */
+static inline bool reads_eight(const svo_pyramid *p, uint32_t level)
+{
+    return (p->texels[level] != NULL || p->kind == SVO_TEXEL_COLOR) && !p->outside && (uint64_t)p->width[level] * p->height[level] < (uint64_t)1 << 31 && svoi_avx2_has();
+}
+
 /* The mean of its readings. Every other one has a sum of its own. */
 static inline void mean_inside(const svo_pyramid *p, const placed *r, float out[4])
 {
@@ -150,6 +157,9 @@ static inline void mean_inside(const svo_pyramid *p, const placed *r, float out[
         svoi_bytes_footprint(p->image->pixels + 4 * r->origin, p->halves, w, n, r->x, r->y, (float *)sums);
     } else if (p->texels[n->level] != NULL && !p->outside && n->along * n->across > 2 && svoi_clip_has_wide()) {
         svoi_wide_footprint(p->texels[n->level] + 4 * r->origin, w, n, r->x, r->y, (float *)sums);
+    } else if (n->along * n->across > 2 && reads_eight(p, n->level)) {
+        const svoi_texels from = {p->texels[n->level], p->image->pixels, p->stored};
+        svoi_avx2_footprint(&from, r->origin, w, n, r->x, r->y, (float *)sums);
     } else {
         uint32_t odd = 0;
         for (uint32_t i = 0; i < n->along; i++)
@@ -228,7 +238,12 @@ void svoi_inner_plan(const svo_facet_texture *f, const svo_pyramid *p, const svo
         out->reach_x[k] = fabsf(n->step[0]) * along + fabsf(n->side[0]) * across + 0.01f, out->reach_y[k] = fabsf(n->step[1]) * along + fabsf(n->side[1]) * across + 0.01f;
         out->step_x[k] = n->step[0], out->step_y[k] = n->step[1];
         out->side_x[k] = n->side[0], out->side_y[k] = n->side[1];
+        const float row[8] = {out->back_x[k], out->back_y[k], n->step[0], n->step[1], n->side[0], n->side[1], 0, 0};
+        memcpy(out->row[k], row, sizeof row);
+        out->most_x[k] = out->most_y[k] = 0;
+        out->most_x[same] = fmaxf(out->most_x[same], out->reach_x[k]), out->most_y[same] = fmaxf(out->most_y[same], out->reach_y[k]);
     }
+    memset(out->row[SVOI_INNER_STEPS + 1], 0, sizeof out->row[0]);
 }
 
 /* Lanes that are read alike, one after the other: where, and with which steps. */
@@ -430,6 +445,7 @@ static void find_middles(const svoi_inner_texture *f, const svo_texture *how, co
 static svoi_sorted_lanes sort_lanes(const svoi_inner_texture *f, const svoi_lanes *l, uint32_t first, const float *cx, const float *cy, float width, float height)
 {
     if (svoi_clip_has_wide()) return svoi_wide_sort(f, l, f->alike[first], cx, cy, width, height);
+    if (svoi_avx2_has()) return svoi_avx2_sort(f, l, first, cx, cy, width, height);
     svoi_sorted_lanes r = {0, 0, 0};
     for (uint32_t i = 0; i < l->count; i++) {
         const uint32_t step = l->step[i];
@@ -483,6 +499,9 @@ static void read_shape(const svoi_inner_texture *f, const svo_texture *how, cons
         if (of.inside != 0) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.inside, false, cx, cy, scale, out);
         if (of.near != 0 && repeats) svoi_wide_read(p->texels[level], w, h, f, shape, l, of.near, true, cx, cy, scale, out);
         if (repeats) of.near = 0;
+    } else if (of.inside != 0 && reads_eight(p, level)) {
+        const svoi_texels from = {p->texels[level], p->image->pixels, p->stored};
+        svoi_avx2_read(&from, w, f, shape, l, of.inside, cx, cy, scale, out);
     } else if (of.inside != 0) {
         read_inside(f, p, l, shape, of.inside, cx, cy, out);
     }

@@ -28,6 +28,8 @@ typedef struct svoi_inner_texture {
     /* of the plans, by step: from the middle back to the first reading, how far readings reach from the middle, and steps */
     float back_x[SVOI_INNER_ROWS], back_y[SVOI_INNER_ROWS], reach_x[SVOI_INNER_ROWS], reach_y[SVOI_INNER_ROWS];
     float step_x[SVOI_INNER_ROWS], step_y[SVOI_INNER_ROWS], side_x[SVOI_INNER_ROWS], side_y[SVOI_INNER_ROWS];
+    float row[SVOI_INNER_STEPS + 2][8];                                 /* the same, a step a row: back, step, side (x and y each), and 0; the last row is 0 */
+    float most_x[SVOI_INNER_STEPS + 1], most_y[SVOI_INNER_STEPS + 1];   /* of a first step: how far readings of the steps with its shape reach at most */
 } svoi_inner_texture;
 
 /* Inner voxels that are read with one shape, a bit each: all readings inside the level, all less than a period away, others. */

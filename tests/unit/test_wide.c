@@ -1,8 +1,9 @@
-/* What is written for AVX-512 does what the plain steps do, to the bit. */
+/* What is written for AVX-512 and AVX2 does what the plain steps do, to the bit. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "svoi_shade_avx2.h"
 #include "svoi_shade_wide.h"
 #include "svoi_channel.h"
 #include "voxel_set.h"
@@ -100,7 +101,8 @@ TEST(footprints_are_read_as_one_by_one)
 {
     static uint16_t texels[4 * WIDTH * HEIGHT];
     uint64_t seed = 4;
-    if (skipped()) return;
+    const svoi_texels from = {.texels = texels};
+    if (!svoi_avx2_has() && skipped()) return;
     for (uint32_t i = 0; i < 4 * WIDTH * HEIGHT; i++) texels[i] = (uint16_t)test_random(&seed);
     for (uint32_t along = 1; along <= 128; along++)
         for (uint32_t across = 1; across <= 4 && along * across <= 128; across++) {
@@ -116,15 +118,22 @@ TEST(footprints_are_read_as_one_by_one)
                     const int32_t ix = (int32_t)px, iy = (int32_t)py;
                     read_one(texels, px - (float)ix, py - (float)iy, (uint32_t)(iy * WIDTH + ix), want[(i * across + j) % 2]);
                 }
-            svoi_wide_footprint(texels, WIDTH, &n, x, y, sums);
-            CHECK(memcmp(sums, want, sizeof sums) == 0);
+            if (svoi_clip_has_wide()) {
+                svoi_wide_footprint(texels, WIDTH, &n, x, y, sums);
+                CHECK(memcmp(sums, want, sizeof sums) == 0);
+            }
+            if (svoi_avx2_has()) {
+                memset(sums, 0, sizeof sums);
+                svoi_avx2_footprint(&from, 0, WIDTH, &n, x, y, sums);
+                CHECK(memcmp(sums, want, sizeof sums) == 0);
+            }
         }
 }
 
 TEST(colours_are_encoded_as_one_by_one)
 {
     uint64_t seed = 6;
-    if (skipped()) return;
+    if (!svoi_avx2_has() && skipped()) return;
     for (int round = 0; round < 2000; round++) {
         const uint32_t count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
         float c[3][SVOI_LANES];
@@ -135,9 +144,12 @@ TEST(colours_are_encoded_as_one_by_one)
                 if (round % 2 == 0) c[k][i] = (float)pow(test_random_unit(&seed), 3);
                 else memcpy(&c[k][i], &bits, 4); /* anything */
             }
-        svoi_wide_colors(svoi_srgb_steps(), c[0], c[1], c[2], count, out);
-        for (uint32_t i = 0; i < count; i++)
-            for (int k = 0; k < 3; k++) CHECK(out[3 * i + (uint32_t)k] == svo_linear_to_srgb(c[k][i]));
+        for (int way = 0; way < 2; way++) {
+            if (way == 0 ? !svoi_clip_has_wide() : !svoi_avx2_has()) continue;
+            (way == 0 ? svoi_wide_colors : svoi_avx2_colors)(svoi_srgb_steps(), c[0], c[1], c[2], count, out);
+            for (uint32_t i = 0; i < count; i++)
+                for (int k = 0; k < 3; k++) CHECK(out[3 * i + (uint32_t)k] == svo_linear_to_srgb(c[k][i]));
+        }
     }
 }
 
@@ -184,20 +196,22 @@ static void tangle_make(loose_mesh *m, uint32_t count, double texels, uint64_t *
     m->part.normals = normal;
 }
 
-/* With vector code and without it. */
-static void run_both(const svo_mesh *mesh, const svo_voxelize_options *o, voxel_set *with, voxel_set *without)
+/* With all vector code that there is, with that of AVX2, and without. */
+static void run_all(const svo_mesh *mesh, const svo_voxelize_options *o, voxel_set *with, voxel_set *half, voxel_set *without)
 {
     svo_error err;
     CHECK_OK(voxel_run(mesh, o, false, with, &err));
     svoi_clip_hold_back(true);
+    CHECK_OK(voxel_run(mesh, o, false, half, &err));
+    svoi_avx2_hold_back(true);
     CHECK_OK(voxel_run(mesh, o, false, without, &err));
+    svoi_avx2_hold_back(false);
     svoi_clip_hold_back(false);
 }
 
 TEST(attributes_are_the_same_without)
 {
     uint64_t seed = 8;
-    if (skipped()) return;
     for (uint32_t round = 0; round < 36 && !test_failed(); round++) {
         loose_mesh m;
         svo_material material = svo_material_default();
@@ -226,10 +240,11 @@ TEST(attributes_are_the_same_without)
         o.depth = 6 + round % 2;
         o.threads = 2;
         o.channels = SVO_WANT_COLOR | SVO_WANT_NORMAL | SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS;
-        voxel_set with, without;
-        run_both(&m.mesh, &o, &with, &without);
-        CHECK(with.hash == without.hash && with.count == without.count);
+        voxel_set with, half, without;
+        run_all(&m.mesh, &o, &with, &half, &without);
+        CHECK(with.hash == without.hash && half.hash == without.hash && with.count == without.count);
         voxel_free(&with);
+        voxel_free(&half);
         voxel_free(&without);
         for (uint32_t i = 0; i < 2; i++) free(images[i].pixels);
         loose_free(&m);
@@ -240,7 +255,6 @@ TEST(attributes_are_the_same_without)
 TEST(plain_attributes_are_the_same_without)
 {
     uint64_t seed = 12;
-    if (skipped()) return;
     for (uint32_t round = 0; round < 24 && !test_failed(); round++) {
         loose_mesh m;
         svo_material materials[2] = {svo_material_default(), svo_material_default()};
@@ -267,10 +281,11 @@ TEST(plain_attributes_are_the_same_without)
         o.depth = 6 + round % 3;
         o.threads = 2;
         o.channels = SVO_WANT_NORMAL | (round % 3 > 0 ? SVO_WANT_COLOR : 0) | (round % 3 > 1 ? SVO_WANT_EMISSIVE | SVO_WANT_METALLIC | SVO_WANT_ROUGHNESS | SVO_WANT_COVERAGE : 0);
-        voxel_set with, without;
-        run_both(&m.mesh, &o, &with, &without);
-        CHECK_MSG(with.hash == without.hash && with.counts.nodes[o.depth] > 1000, "round %u, %llu voxels", round, (unsigned long long)with.counts.nodes[o.depth]);
+        voxel_set with, half, without;
+        run_all(&m.mesh, &o, &with, &half, &without);
+        CHECK_MSG(with.hash == without.hash && half.hash == without.hash && with.counts.nodes[o.depth] > 1000, "round %u, %llu voxels", round, (unsigned long long)with.counts.nodes[o.depth]);
         voxel_free(&with);
+        voxel_free(&half);
         voxel_free(&without);
         m.mesh.shapes = shapes;
         loose_free(&m);
@@ -311,6 +326,91 @@ TEST(codes_are_sorted_as_one_by_one)
     }
     free(b);
     free(lanes);
+}
+
+/* Inner voxels by AVX2: each lane's mean is that of its readings one by one, of 16-bit texels and of bytes; other lanes stay. */
+TEST(inner_voxels_are_read_as_one_by_one)
+{
+    static uint8_t pixels[4 * WIDTH * HEIGHT];
+    static uint16_t texels[4 * WIDTH * HEIGHT];
+    float stored[256];
+    uint64_t seed = 17;
+    if (!svoi_avx2_has()) {
+        printf("        skipped: this processor or compiler has no AVX2\n");
+        return;
+    }
+    for (int i = 0; i < 256; i++) stored[i] = (float)(test_random(&seed) % 65536);
+    for (uint32_t i = 0; i < 4 * WIDTH * HEIGHT; i++) {
+        pixels[i] = (uint8_t)test_random(&seed);
+        texels[i] = i % 4 == 3 ? 65535 : (uint16_t)stored[pixels[i]];
+    }
+    const svoi_texels from[2] = {{.texels = texels}, {.pixels = pixels, .stored = stored}};
+    svoi_inner_texture *f = calloc(1, sizeof *f);
+    svoi_lanes *l = calloc(1, sizeof *l);
+    for (uint32_t round = 0; round < 1000 && !test_failed(); round++) {
+        const bool single = round % 5 == 0;
+        svoi_tap_plan n = {.along = single ? 1 : 1 + round % 7, .across = single ? 1 : 1 + round % 4};
+        float cx[SVOI_LANES], cy[SVOI_LANES], out[4][SVOI_LANES] = {{0}};
+        for (uint32_t k = 0; k <= SVOI_INNER_STEPS; k++) /* one reading is at the middle */
+            for (uint32_t i = 0; i < 6; i++) f->row[k][i] = n.along * n.across == 1 ? 0 : (float)test_random_unit(&seed);
+        l->count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
+        for (uint32_t i = 0; i < SVOI_LANES; i++) {
+            l->step[i] = (uint8_t)(test_random(&seed) % 17);
+            cx[i] = (float)(test_random_unit(&seed) * (WIDTH - 13) + 1), cy[i] = (float)(test_random_unit(&seed) * (HEIGHT - 13) + 1);
+        }
+        const uint64_t all = UINT64_MAX >> (64 - l->count), lanes = round % 3 == 0 ? all : all & test_random(&seed);
+        if (lanes == 0) continue;
+        svoi_avx2_read(&from[round % 2], WIDTH, f, &n, l, lanes, cx, cy, 0.25f, out);
+        for (uint32_t i = 0; i < l->count; i++) {
+            const float *row = f->row[l->step[i]];
+            float sum[8] = {0};
+            for (uint32_t j = 0; lanes >> i & 1 && j < n.along * n.across; j++) {
+                const float along = (float)(j / n.across), across = (float)(j % n.across);
+                const float x = cx[i] - row[0] + (along * row[2] + across * row[4]), y = cy[i] - row[1] + (along * row[3] + across * row[5]);
+                read_one(texels, x - (float)(int32_t)x, y - (float)(int32_t)y, (uint32_t)((int32_t)y * WIDTH + (int32_t)x), sum);
+            }
+            for (uint32_t c = 0; c < 3; c++) CHECK(out[c][i] == (sum[c] + sum[c + 4]) * 0.25f);
+        }
+    }
+    free(l);
+    free(f);
+}
+
+/* Those whose readings are inside, less than a period away, and farther, by AVX2. */
+TEST(inner_voxels_are_sorted_as_one_by_one)
+{
+    uint64_t seed = 19;
+    if (!svoi_avx2_has()) return;
+    svoi_inner_texture *f = calloc(1, sizeof *f);
+    svoi_lanes *l = calloc(1, sizeof *l);
+    for (uint32_t round = 0; round < 1000 && !test_failed(); round++) {
+        const float width = (float)(4 + round % 60), height = (float)(3 + round % 41);
+        float cx[SVOI_LANES], cy[SVOI_LANES];
+        const uint32_t first = round % 17;
+        f->alike[first] = (uint32_t)test_random(&seed) & 0x1ffff;
+        f->most_x[first] = f->most_y[first] = 0;
+        for (uint32_t k = 0; k <= SVOI_INNER_STEPS; k++) {
+            f->reach_x[k] = (float)(test_random_unit(&seed) * 12), f->reach_y[k] = (float)(test_random_unit(&seed) * 12);
+            if ((f->alike[first] >> k & 1) == 0) continue;
+            f->most_x[first] = fmaxf(f->most_x[first], f->reach_x[k]), f->most_y[first] = fmaxf(f->most_y[first], f->reach_y[k]);
+        }
+        l->count = 1 + (uint32_t)test_random(&seed) % SVOI_LANES;
+        for (uint32_t i = 0; i < SVOI_LANES; i++) {
+            l->step[i] = (uint8_t)(test_random(&seed) % 17);
+            cx[i] = (float)test_random_unit(&seed) * width, cy[i] = (float)test_random_unit(&seed) * height;
+        }
+        const svoi_sorted_lanes r = svoi_avx2_sort(f, l, first, cx, cy, width, height);
+        for (uint32_t i = 0; i < l->count; i++) {
+            const uint32_t s = l->step[i], asked = f->alike[first] >> s & 1;
+            const float ex = f->reach_x[s], ey = f->reach_y[s];
+            const uint32_t in = asked & (cx[i] - ex > 0 && cy[i] - ey > 0 && cx[i] + ex < width - 1 && cy[i] + ey < height - 1);
+            const uint32_t near = asked & !in & (ex + 1 < width && ey + 1 < height);
+            CHECK((r.inside >> i & 1) == in && (r.near >> i & 1) == near && (r.far >> i & 1) == (asked & !in & !near));
+        }
+        CHECK(l->count == SVOI_LANES || (r.inside | r.near | r.far) >> l->count == 0);
+    }
+    free(l);
+    free(f);
 }
 
 TEST(bytes_are_read_as_the_numbers_they_stand_for)
