@@ -366,6 +366,7 @@ static void sink(const svo_rays *r, svoi_ray_batch *b)
         const svoi_ray_list *l = &b->start;
         const __m256i q[3] = {any_words(&l->q[0][i]), any_words(&l->q[1][i]), any_words(&l->q[2][i])};
         __m256i s = any_words(&b->s[i]), node = any_words(&b->node[i]), down = _mm256_cmpgt_epi32(word((int)(b->starts - i)), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7));
+        down = _mm256_andnot_si256(_mm256_cmpgt_epi32(zero, s), down); /* but those that hit nothing */
         while (down = _mm256_andnot_si256(_mm256_cmpeq_epi32(s, brick), down), bits(down) != 0) {
             _Alignas(32) int32_t places[LANES];
             __m256i units[4];

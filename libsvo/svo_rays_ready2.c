@@ -7,9 +7,7 @@
 #include "svoi_rays.h"
 
 #ifdef SVOI_HAVE_AVX2
-#include <immintrin.h>
-
-#define INLINE static inline __attribute__((always_inline))
+#include "svoi_ranks_avx2.h"
 
 _Static_assert(sizeof(svo_ray) == 80 && offsetof(svo_ray, direction) == 24 && offsetof(svo_ray, t_min) == 48 && offsetof(svo_ray, t_max) == 56 && offsetof(svo_ray, spread) == 64 &&
                    offsetof(svo_ray, offset) == 72,
@@ -17,25 +15,8 @@ _Static_assert(sizeof(svo_ray) == 80 && offsetof(svo_ray, direction) == 24 && of
 
 static const double far_enough = 0x1p40; /* fixed-point units: beyond, the positions' error would come near to one unit */
 
-/* By mask of four lanes: where those of the mask come from when the ranks are closed, as words of a register of doubles and as bytes of one of words. */
-#define LANE2(l) 2 * (l), 2 * (l) + 1
-#define LANE4(l) 4 * (l), 4 * (l) + 1, 4 * (l) + 2, 4 * (l) + 3
-#define RANKS(of, a, b, c, d) {of(a), of(b), of(c), of(d)}
-#define ALL_RANKS(of) \
-    {RANKS(of, 0, 0, 0, 0), RANKS(of, 0, 0, 0, 0), RANKS(of, 1, 0, 0, 0), RANKS(of, 0, 1, 0, 0), RANKS(of, 2, 0, 0, 0), RANKS(of, 0, 2, 0, 0), RANKS(of, 1, 2, 0, 0), RANKS(of, 0, 1, 2, 0), \
-     RANKS(of, 3, 0, 0, 0), RANKS(of, 0, 3, 0, 0), RANKS(of, 1, 3, 0, 0), RANKS(of, 0, 1, 3, 0), RANKS(of, 2, 3, 0, 0), RANKS(of, 0, 2, 3, 0), RANKS(of, 1, 2, 3, 0), RANKS(of, 0, 1, 2, 3)}
-static const _Alignas(32) int32_t double_ranks[16][8] = ALL_RANKS(LANE2);
-static const _Alignas(16) int8_t word_ranks[16][16] = ALL_RANKS(LANE4);
-
-INLINE __m256d close_doubles(__m256d x, __m256i ranks) { return _mm256_castsi256_pd(_mm256_permutevar8x32_epi32(_mm256_castpd_si256(x), ranks)); }
 INLINE __m256d absolute(__m256d x) { return _mm256_andnot_pd(_mm256_set1_pd(-0.0), x); }
 INLINE uint32_t bits(__m256d mask) { return (uint32_t)_mm256_movemask_pd(mask); }
-/* A mask of doubles as one of words. */
-INLINE __m128i words(__m256d mask)
-{
-    return _mm_castps_si128(_mm_shuffle_ps(_mm_castpd_ps(_mm256_castpd256_pd128(mask)), _mm_castpd_ps(_mm256_extractf128_pd(mask, 1)), 0x88));
-}
-
 /* The upper halves of doubles, with their signs. */
 INLINE __m128i upper(__m256d x) { return _mm_castps_si128(_mm_shuffle_ps(_mm_castpd_ps(_mm256_castpd256_pd128(x)), _mm_castpd_ps(_mm256_extractf128_pd(x, 1)), 0xdd)); }
 
@@ -103,8 +84,8 @@ INLINE bool prepare(const svo_rays *r, bool lod, const svo_ray *rays, uint32_t c
             const __m256d exact = _mm256_and_pd(begins, _mm256_cmp_pd(_mm256_cvtepi32_pd(q[k]), o[k], _CMP_EQ_OQ));
             doubt |= meets & ~bits(_mm256_or_pd(entering, exact)) & ~(uint32_t)_mm_movemask_ps(_mm_castsi128_ps(_mm_cmpgt_epi32(edge, one_i)));
             const __m128i negative = _mm_srai_epi32(upper(d[k]), 31), side = _mm_blendv_epi8(_mm_set1_epi32(low_side[k]), _mm_set1_epi32(high_side[k] - 1), negative);
-            q[k] = _mm_add_epi32(q[k], _mm_and_si128(words(exact), negative));
-            q[k] = _mm_blendv_epi8(q[k], side, words(entering));
+            q[k] = _mm_add_epi32(q[k], _mm_and_si128(mask_words(exact), negative));
+            q[k] = _mm_blendv_epi8(q[k], side, mask_words(entering));
         }
         meets &= ~doubt;
         b->unsure[i / 8] |= (uint8_t)(doubt << i % 8);

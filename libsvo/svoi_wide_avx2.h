@@ -2,10 +2,7 @@
 #ifndef SVOI_WIDE_AVX2_H
 #define SVOI_WIDE_AVX2_H
 
-#include <immintrin.h>
-#include <stdint.h>
-
-#define INLINE static inline __attribute__((always_inline))
+#include "svoi_ranks_avx2.h"
 
 typedef struct wide { __m256d v[4]; } wide;
 
@@ -88,63 +85,78 @@ INLINE void wide_fill(int32_t *to, int32_t x)
     for (int i = 0; i < 16; i += 8) _mm256_storeu_si256((__m256i *)(to + i), _mm256_set1_epi32(x));
 }
 
-/* Faces through which 16 rays enter something at `in`: of the first plane for which plane[k] == in. */
-INLINE void enter_faces(wide in, const wide plane[3], uint8_t negative, uint8_t face[16])
+/* The lanes `m` of four doubles, and of four words, from `to` on; up to four are written. */
+INLINE void keep_doubles(double *to, uint32_t m, __m256d x) { _mm256_storeu_pd(to, close_doubles(x, _mm256_load_si256((const __m256i *)double_ranks[m]))); }
+INLINE void keep_words(int32_t *to, uint32_t m, __m128i x) { _mm_storeu_si128((__m128i *)to, close_words(x, _mm_load_si128((const __m128i *)word_ranks[m]))); }
+INLINE __m128i four_words(const int32_t *p) { return _mm_loadu_si128((const __m128i *)p); }
+INLINE __m256d same(__m256d x, __m256d y) { return _mm256_cmp_pd(x, y, _CMP_LE_OQ); } /* x is nowhere below y */
+
+/* Faces through which rays 4h to 4h + 3 of 16 enter something at `in`: of the first plane for which plane[k] == in. */
+INLINE __m128i enter_faces(wide in, const wide plane[3], uint8_t negative, int h)
 {
-    const uint32_t x = wide_at_most(in, plane[0]), y = wide_at_most(in, plane[1]), z = wide_at_most(in, plane[2]);
-    const uint32_t back[3] = {negative & 1, negative >> 1 & 1, negative >> 2 & 1};
-    for (uint32_t l = 0; l < 16; l++)
-        face[l] = (uint8_t)(x >> l & 1 ? SVO_FACE_LOW_X + back[0] : y >> l & 1 ? SVO_FACE_LOW_Y + back[1] : z >> l & 1 ? SVO_FACE_LOW_Z + back[2] : SVO_FACE_INSIDE);
+    __m128i face = _mm_set1_epi32(SVO_FACE_INSIDE);
+    for (int k = 2; k >= 0; k--) face = _mm_blendv_epi8(face, _mm_set1_epi32(2 * k + (negative >> k & 1)), mask_words(same(in.v[h], plane[k].v[h])));
+    return face;
 }
 
 /* The rays `hits` of the 16 from `i` on have met a cell of a node, which they enter at `in` through the first plane for which plane[k] == in. */
 INLINE void keep_found(svoi_ray_batch *b, uint32_t i, uint32_t hits, wide in, const wide plane[3], uint8_t negative, const int32_t at[3], int32_t state, int32_t node, int32_t base)
 {
-    _Alignas(32) double enter[16];
-    uint8_t face[16];
-    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]);
-    enter_faces(in, plane, negative, face);
-    for (; hits != 0; hits &= hits - 1, b->found++) {
-        const uint32_t lane = (uint32_t)__builtin_ctz(hits);
-        b->found_ray[b->found] = b->in.ray[i + lane], b->t_found[b->found] = enter[lane], b->face_found[b->found] = face[lane];
-        b->state[b->found] = state, b->node_found[b->found] = node, b->base[b->found] = base;
-        for (int k = 0; k < 3; k++) b->at[k][b->found] = at[k];
+    wide_fill(&b->state[b->found], state);
+    for (int k = 0; k < 3; k++) wide_fill(&b->at[k][b->found], at[k]);
+    wide_fill(&b->node_found[b->found], node), wide_fill(&b->base[b->found], base);
+    for (int h = 0; h < 4; h++) {
+        const uint32_t m = hits >> 4 * h & 15;
+        if (m == 0) continue;
+        keep_doubles(&b->t_found[b->found], m, in.v[h]);
+        keep_words(&b->face_found[b->found], m, enter_faces(in, plane, negative, h));
+        keep_words(&b->found_ray[b->found], m, four_words(&b->in.ray[i + 4 * (uint32_t)h]));
+        b->found += (uint32_t)__builtin_popcount(m);
     }
 }
 
-/* Fixed-point positions of 16 rays from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such
+/* Fixed-point positions of rays 4h to 4h + 3 of the 16 from `i` on where they enter something at `in`, through the planes for which plane[k] == in; side[k] is the cell before such
  * a plane. Those for which it is not certain in which finest voxel they are then; with `trust`, a ray that begins there is where the list says, perhaps on a plane. */
-INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, bool trust, int32_t q[3][16])
+INLINE uint32_t enter_at(const svoi_ray_batch *b, uint32_t i, int h, wide in, const wide plane[3], const int32_t side[3], int32_t unit_mask, bool trust, __m128i q[3])
 {
-    const uint32_t begin = trust ? wide_at_most(in, wide_load(&b->in.t[i])) : 0; /* where the ray begins its place is known */
-    uint32_t doubt = 0;
+    const uint32_t from = i + 4 * (uint32_t)h;
+    const __m128i one = _mm_set1_epi32(1);
+    const __m128i begin = trust ? mask_words(same(in.v[h], _mm256_loadu_pd(&b->in.t[from]))) : _mm_setzero_si128(); /* where the ray begins its place is known */
+    __m128i sure = _mm_set1_epi32(-1);
     for (int k = 0; k < 3; k++) {
-        const uint32_t through = wide_at_most(in, plane[k]);
-        for (int h = 0; h < 4; h++)
-            _mm_store_si128((__m128i *)&q[k][4 * h], _mm256_cvttpd_epi32(_mm256_fmadd_pd(_mm256_loadu_pd(&b->in.d[k][i + 4 * (uint32_t)h]), in.v[h], _mm256_loadu_pd(&b->in.o[k][i + 4 * (uint32_t)h]))));
-        for (uint32_t lane = 0; lane < 16; lane++) {
-            if (through >> lane & 1) q[k][lane] = side[k];
-            else if (begin >> lane & 1) q[k][lane] = b->in.q[k][i + lane];
-            else doubt |= (uint32_t)(((q[k][lane] + 1) & unit_mask) <= 1) << lane;
-        }
+        const __m128i through = mask_words(same(in.v[h], plane[k].v[h]));
+        q[k] = _mm256_cvttpd_epi32(_mm256_fmadd_pd(_mm256_loadu_pd(&b->in.d[k][from]), in.v[h], _mm256_loadu_pd(&b->in.o[k][from])));
+        const __m128i clear = _mm_cmpgt_epi32(_mm_and_si128(_mm_add_epi32(q[k], one), _mm_set1_epi32(unit_mask)), one);
+        sure = _mm_and_si128(sure, _mm_or_si128(_mm_or_si128(through, begin), clear));
+        q[k] = _mm_blendv_epi8(q[k], four_words(&b->in.q[k][from]), begin);
+        q[k] = _mm_blendv_epi8(q[k], _mm_set1_epi32(side[k]), through);
     }
-    return doubt;
+    return ~(uint32_t)_mm_movemask_ps(_mm_castsi128_ps(sure)) & 15;
+}
+
+INLINE void keep_doubt(svoi_ray_batch *b, uint32_t m, __m128i ray)
+{
+    keep_words(&b->found_ray[b->found], m, ray);
+    _mm_storeu_si128((__m128i *)&b->state[b->found], _mm_set1_epi32(SVOI_RAY_DOUBT));
+    b->found += (uint32_t)__builtin_popcount(m);
 }
 
 /* The rays `met` of the 16 from `i` on hit a finest voxel where they enter something; see enter_at. Neither node_found nor base is set. */
 INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, const wide plane[3], const int32_t side[3], int32_t fraction, uint8_t negative)
 {
-    _Alignas(16) int32_t q[3][16];
-    const uint32_t doubt = enter_at(b, i, in, plane, side, (1 << fraction) - 1, false, q);
-    _Alignas(32) double enter[16];
-    uint8_t face[16];
-    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]);
-    enter_faces(in, plane, negative, face);
-    for (; met != 0; met &= met - 1, b->found++) {
-        const uint32_t lane = (uint32_t)__builtin_ctz(met);
-        b->found_ray[b->found] = b->in.ray[i + lane], b->t_found[b->found] = enter[lane], b->face_found[b->found] = face[lane];
-        b->state[b->found] = doubt >> lane & 1 ? SVOI_RAY_DOUBT : fraction + 1;
-        for (int k = 0; k < 3; k++) b->at[k][b->found] = q[k][lane];
+    for (int h = 0; h < 4; h++) {
+        uint32_t m = met >> 4 * h & 15, doubt;
+        __m128i q[3], ray = four_words(&b->in.ray[i + 4 * (uint32_t)h]);
+        if (m == 0) continue;
+        doubt = m & enter_at(b, i, h, in, plane, side, (1 << fraction) - 1, false, q);
+        if (doubt != 0) keep_doubt(b, doubt, ray);
+        m &= ~doubt;
+        keep_doubles(&b->t_found[b->found], m, in.v[h]);
+        keep_words(&b->face_found[b->found], m, enter_faces(in, plane, negative, h));
+        keep_words(&b->found_ray[b->found], m, ray);
+        _mm_storeu_si128((__m128i *)&b->state[b->found], _mm_set1_epi32(fraction + 1));
+        for (int k = 0; k < 3; k++) keep_words(&b->at[k][b->found], m, q[k]);
+        b->found += (uint32_t)__builtin_popcount(m);
     }
 }
 
@@ -152,25 +164,25 @@ INLINE void find_rays(svoi_ray_batch *b, uint32_t i, uint32_t met, wide in, cons
  * certain in which finest voxel they are they count as found, in doubt. */
 INLINE void start_rays(svoi_ray_batch *b, bool lod, uint32_t i, uint32_t met, wide in, wide t_max, const wide plane[3], const int32_t side[3], int32_t unit_mask)
 {
-    _Alignas(32) double enter[16], leave[16];
-    _Alignas(16) int32_t q[3][16];
-    const uint32_t doubt = enter_at(b, i, in, plane, side, unit_mask, true, q);
-    for (int h = 0; h < 4; h++) _mm256_store_pd(enter + 4 * h, in.v[h]), _mm256_store_pd(leave + 4 * h, t_max.v[h]);
-    for (; met != 0; met &= met - 1) {
-        const uint32_t lane = (uint32_t)__builtin_ctz(met), from = i + lane, to = b->starts;
+    for (int h = 0; h < 4; h++) {
+        const uint32_t from = i + 4 * (uint32_t)h, to = b->starts;
+        uint32_t m = met >> 4 * h & 15, doubt;
+        __m128i q[3], ray = four_words(&b->in.ray[from]);
+        if (m == 0) continue;
+        doubt = m & enter_at(b, i, h, in, plane, side, unit_mask, true, q);
+        if (doubt != 0) keep_doubt(b, doubt, ray);
+        m &= ~doubt;
         for (int k = 0; k < 3; k++) {
-            b->start.q[k][to] = q[k][lane];
-            b->start.o[k][to] = b->in.o[k][from], b->start.d[k][to] = b->in.d[k][from], b->start.inv[k][to] = b->in.inv[k][from];
+            keep_doubles(&b->start.o[k][to], m, _mm256_loadu_pd(&b->in.o[k][from]));
+            keep_doubles(&b->start.d[k][to], m, _mm256_loadu_pd(&b->in.d[k][from]));
+            keep_doubles(&b->start.inv[k][to], m, _mm256_loadu_pd(&b->in.inv[k][from]));
+            keep_words(&b->start.q[k][to], m, q[k]);
         }
-        if (doubt >> lane & 1) {
-            b->found_ray[b->found] = b->in.ray[from], b->state[b->found] = SVOI_RAY_DOUBT;
-            b->found++;
-            continue;
-        }
-        b->start.t[to] = enter[lane], b->start.t_max[to] = leave[lane];
-        if (lod) b->start.spread[to] = b->in.spread[from], b->start.offset[to] = b->in.offset[from];
-        b->start.ray[to] = b->in.ray[from];
-        b->starts++;
+        keep_doubles(&b->start.t[to], m, in.v[h]);
+        keep_doubles(&b->start.t_max[to], m, t_max.v[h]);
+        if (lod) keep_doubles(&b->start.spread[to], m, _mm256_loadu_pd(&b->in.spread[from])), keep_doubles(&b->start.offset[to], m, _mm256_loadu_pd(&b->in.offset[from]));
+        keep_words(&b->start.ray[to], m, ray);
+        b->starts += (uint32_t)__builtin_popcount(m);
     }
 }
 
