@@ -46,14 +46,24 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
 
 /* --- messages --- */
 
+/* Characters that a terminal obeys instead of showing: controls, and marks that turn the direction of what follows (U+061C, U+200E, U+200F, U+202A to U+202E, U+2066 to
+ * U+2069), by which a name can look like another. */
+static bool unshown(const char *text, size_t n)
+{
+    const unsigned char *c = (const unsigned char *)text;
+    if (n == 1) return c[0] < 0x20 || c[0] == 0x7f;
+    if (n == 2) return (c[0] == 0xc2 && c[1] < 0xa0) || (c[0] == 0xd8 && c[1] == 0x9c);
+    if (n != 3 || c[0] != 0xe2) return false;
+    return c[1] == 0x80 ? c[2] == 0x8e || c[2] == 0x8f || (c[2] >= 0xaa && c[2] <= 0xae) : c[1] == 0x81 && c[2] >= 0xa6 && c[2] <= 0xa9;
+}
+
 void cli_write_plain(FILE *to, const char *text)
 {
     const size_t length = strlen(text);
     for (size_t i = 0; i < length;) {
-        const unsigned char first = (unsigned char)text[i];
         size_t n = fmt_utf8_character(text + i, length - i);
-        bool control = first < 0x20 || first == 0x7f || (first == 0xc2 && n == 2 && (unsigned char)text[i + 1] < 0xa0); /* the last: U+0080 to U+009F */
-        if (n == 0) n = 1, control = true;
+        bool control = n == 0 || unshown(text + i, n);
+        if (n == 0) n = 1;
         if (!control) fwrite(text + i, 1, n, to);
         for (size_t k = 0; control && k < n; k++) fprintf(to, "\\x%02x", (unsigned char)text[i + k]);
         i += n;

@@ -352,17 +352,23 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     sources read = {0};
     job j = {0};
     json_t *inputs = json_array();
-    if (c->memory != 0) {
-        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
-        mallopt(M_MMAP_THRESHOLD, 1 << 17);
-        mallopt(M_TRIM_THRESHOLD, 1 << 17);
-        mallopt(M_ARENA_MAX, 1);
+    if (c->memory != 0 || o->temp != NULL) {
         fmt_spill_options s = {.folder = o->temp, .beside = c->output, .limit = o->temp_size};
         svo_result opened = fmt_spill_open(&s, &j.spill, err);
         if (opened != SVO_OK) {
             json_decref(inputs);
             return opened;
         }
+        if (c->memory == 0) { /* nothing spills; a folder that could not be used is refused all the same */
+            fmt_spill_close(j.spill);
+            j.spill = NULL;
+        }
+    }
+    if (c->memory != 0) {
+        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
+        mallopt(M_MMAP_THRESHOLD, 1 << 17);
+        mallopt(M_TRIM_THRESHOLD, 1 << 17);
+        mallopt(M_ARENA_MAX, 1);
         if (fmt_spill_in_memory(j.spill)) svo_warn(&c->warnings, "temporary files in %s would lie in memory (tmpfs); choose a disk with --temp", fmt_spill_folder(j.spill));
     }
     read.beside = c->threads != 1 && c->memory == 0; /* within --memory what has been hashed is given back at once */

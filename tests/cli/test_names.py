@@ -6,13 +6,14 @@ import os
 import support
 from support import check, run, tool
 
-HOSTILE = [b"esc\x1b]0;title\x07\x1b[31m", b"new\nline", b"tab\tstop", b"\xff\xfe", "c1\u009b31m".encode(), b"del\x7f"]
+HOSTILE = [b"esc\x1b]0;title\x07\x1b[31m", b"new\nline", b"tab\tstop", b"\xff\xfe", "c1\u009b31m".encode(), b"del\x7f", "turned\u202egpj\u2066\u200f\u061c".encode()]
+TURNING = {0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}  # marks of direction
 
 
 def plain(r, name):
     """All that was printed is lines of UTF-8 without control characters, those of stderr with the tool's name before them."""
     for text in (r.out.decode(), r.err):
-        bad = [c for c in text if c != "\n" and (ord(c) < 32 or 127 <= ord(c) < 160)]
+        bad = [c for c in text if c != "\n" and (ord(c) < 32 or 127 <= ord(c) < 160 or ord(c) in TURNING)]
         check(bad == [], (name, bad, r))
     check("\ufffd" not in r.err, (name, r))  # support.tool puts it where bytes are not UTF-8
     for line in r.err.split("\n"):
