@@ -233,6 +233,80 @@ void svoi_avx2_colors(const uint32_t *steps, const float *r, const float *g, con
         _mm256_storeu_si256((__m256i *)(void *)out, _mm256_permutevar8x32_epi32(_mm256_shuffle_epi8(pixel, squeeze), join));
     }
 }
+
+/* Bits to bytes: 255 where a bit is set. */
+INLINE __m256i to_bytes(uint32_t bits)
+{
+    const __m256i which = _mm256_setr_epi64x(0, 0x0101010101010101, 0x0202020202020202, 0x0303030303030303), bit = _mm256_set1_epi64x((int64_t)0x8040201008040201u);
+    return _mm256_cmpeq_epi8(_mm256_and_si256(_mm256_shuffle_epi8(_mm256_set1_epi32((int32_t)bits), which), bit), bit);
+}
+INLINE void blend_to(uint8_t *to, __m256i value, __m256i mask)
+{
+    _mm256_storeu_si256((__m256i *)(void *)to, _mm256_blendv_epi8(_mm256_loadu_si256((const __m256i *)(const void *)to), value, mask));
+}
+
+void svoi_avx2_write(const svo_shade_layout *layout, const svoi_values *v, uint64_t bits, uint64_t among, uint32_t rank, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    const uint64_t set = _pext_u64(bits, among);
+    const uint32_t colors[2] = {layout->color, layout->emissive}, bytes[3] = {layout->metallic, layout->roughness, layout->coverage};
+    if (layout->normal < SVO_MAX_CHANNELS) {
+        const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+        int32_t normal;
+        uint8_t *to = channels[layout->normal] + 4 * (uint64_t)rank;
+        memcpy(&normal, v->of[layout->normal], 4);
+        for (uint64_t rest = set; rest != 0; rest >>= 8, to += 32)
+            blend_to(to, _mm256_set1_epi32(normal), _mm256_cmpeq_epi32(_mm256_and_si256(_mm256_set1_epi32((int32_t)rest), bit), bit));
+    }
+    for (int n = 0; n < 2; n++) {
+        if (colors[n] >= SVO_MAX_CHANNELS) continue;
+        uint8_t row[32], *to = channels[colors[n]] + 3 * (uint64_t)rank;
+        for (uint32_t i = 0; i < 32; i++) row[i] = v->of[colors[n]][i % 3];
+        const __m256i value = _mm256_loadu_si256((const __m256i *)(const void *)row);
+        /* ten values at a time, a bit for each of their bytes */
+        for (uint64_t rest = set; rest != 0; rest >>= 10, to += 30) blend_to(to, value, to_bytes(7 * (uint32_t)_pdep_u64(rest & 0x3ff, 0x9249249)));
+    }
+    for (int n = 0; n < 3; n++)
+        for (uint64_t rest = bytes[n] < SVO_MAX_CHANNELS ? set : 0; rest != 0; rest &= rest - 1) channels[bytes[n]][rank + (uint32_t)__builtin_ctzll(rest)] = v->of[bytes[n]][0];
+}
+
+/* --- sums --------------------------------------------------------------------------------------------------------- */
+
+/* Four sums more; the fourth is the greater of itself and the key where key_lane says so. */
+INLINE void add_four(uint64_t *to, __m256i by, __m256i weight, __m256i key, __m256i key_lane)
+{
+    const __m256i old = _mm256_loadu_si256((const __m256i *)(const void *)to), sum = _mm256_add_epi64(old, _mm256_mul_epi32(by, weight)), sign = _mm256_set1_epi64x(INT64_MIN);
+    const __m256i greater = _mm256_cmpgt_epi64(_mm256_xor_si256(key, sign), _mm256_xor_si256(old, sign));
+    _mm256_storeu_si256((__m256i *)(void *)to, _mm256_blendv_epi8(sum, _mm256_blendv_epi8(old, key, greater), key_lane));
+}
+
+void svoi_avx2_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums)
+{
+    const __m256i last = _mm256_setr_epi64x(0, 0, 0, -1), none = _mm256_setzero_si256();
+    for (uint32_t i = 0; i < count; i++) {
+        uint64_t *to = sums + 9 * (uint64_t)target[i];
+        const uint64_t w = weight[i];
+        const int32_t x = normal[0][i], y = normal[1][i], z = normal[2][i];
+        const uint64_t key = w << 36 | (uint64_t)((uint32_t)(x + 32768) >> 4) | (uint64_t)((uint32_t)(y + 32768) >> 4) << 12 | (uint64_t)((uint32_t)(z + 32768) >> 4) << 24;
+        const __m256i by = _mm256_set1_epi64x((int64_t)w);
+        to[0] += w;
+        add_four(to + 1, _mm256_cvtepi32_epi64(_mm_setr_epi32(1, color[0][i], color[1][i], color[2][i])), by, none, none);
+        add_four(to + 5, _mm256_cvtepi32_epi64(_mm_setr_epi32(x, y, z, 0)), by, _mm256_set1_epi64x((int64_t)key), last);
+    }
+}
+
+void svoi_avx2_add_flat(const uint32_t *weight, const uint32_t *target, uint32_t count, uint32_t fields, const int32_t *factor, uint32_t key_field, uint64_t direction, uint64_t *sums)
+{
+    const __m256i low = _mm256_cvtepi32_epi64(_mm_loadu_si128((const __m128i *)(const void *)(factor + 1))), high = _mm256_cvtepi32_epi64(_mm_loadu_si128((const __m128i *)(const void *)(factor + 5)));
+    const __m256i none = _mm256_setzero_si256(), last = _mm256_setr_epi64x(0, 0, 0, -1), key_low = key_field == 4 ? last : none, key_high = key_field == 8 ? last : none;
+    for (uint32_t i = 0; i < count; i++) {
+        uint64_t *to = sums + (uint64_t)fields * target[i];
+        const uint64_t w = weight[i];
+        const __m256i by = _mm256_set1_epi64x((int64_t)w), key = _mm256_set1_epi64x((int64_t)(w << 36 | direction));
+        to[0] += w;
+        add_four(to + 1, low, by, key, key_low);
+        if (fields == 9) add_four(to + 5, high, by, key, key_high);
+    }
+}
 #else /* never called */
 void svoi_avx2_hold_back(bool held) { (void)held; }
 bool svoi_avx2_has(void) { return false; }
@@ -252,5 +326,17 @@ void svoi_avx2_footprint(const svoi_texels *from, uint64_t origin, uint32_t w, c
 void svoi_avx2_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out)
 {
     (void)steps, (void)r, (void)g, (void)b, (void)count, (void)out;
+}
+void svoi_avx2_write(const svo_shade_layout *layout, const svoi_values *v, uint64_t bits, uint64_t among, uint32_t rank, uint8_t *const channels[SVO_MAX_CHANNELS])
+{
+    (void)layout, (void)v, (void)bits, (void)among, (void)rank, (void)channels;
+}
+void svoi_avx2_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums)
+{
+    (void)weight, (void)target, (void)count, (void)color, (void)normal, (void)sums;
+}
+void svoi_avx2_add_flat(const uint32_t *weight, const uint32_t *target, uint32_t count, uint32_t fields, const int32_t *factor, uint32_t key_field, uint64_t direction, uint64_t *sums)
+{
+    (void)weight, (void)target, (void)count, (void)fields, (void)factor, (void)key_field, (void)direction, (void)sums;
 }
 #endif

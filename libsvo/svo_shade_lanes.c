@@ -309,11 +309,11 @@ void svoi_lanes_add(const svo_shader *s, const svo_facet *t, svoi_lanes *l, uint
     const bool weighted = svoi_material_of(s, t->material)->alpha_matters;
     uint32_t weight[SVOI_LANES];
     find_weights(l, shift, weight);
-    if (fields == 9 && layout->color < SVO_MAX_CHANNELS && layout->normal < SVO_MAX_CHANNELS && !weighted && svoi_clip_has_wide()) { /* what is asked for most */
+    if (fields == 9 && layout->color < SVO_MAX_CHANNELS && layout->normal < SVO_MAX_CHANNELS && !weighted && (svoi_clip_has_wide() || svoi_avx2_has())) { /* what is asked for most */
         int32_t normal[3][SVOI_LANES];
         for (int k = 0; k < 3; k++) quantize(l->color[k], n, l->integer[k]);
         for (int k = 0; k < 3; k++) quantize_normals(l->normal[k], n, normal[k]);
-        svoi_wide_add(weight, l->target, l->count, l->integer, normal, sums);
+        (svoi_clip_has_wide() ? svoi_wide_add : svoi_avx2_add)(weight, l->target, l->count, l->integer, normal, sums);
         return;
     }
     for (uint32_t i = 0; i < l->count; i++) sums[(uint64_t)l->target[i] * fields + layout->sum_weight] += weight[i];
@@ -381,11 +381,11 @@ void svoi_lanes_add_flat(const svo_shade_layout *layout, const svo_contribution 
 {
     uint32_t weight[SVOI_LANES], fields = layout->fields;
     find_weights(l, shift, weight);
-    if ((fields == 5 || fields == WIDE_FIELDS) && c->alpha == 1 && svoi_clip_has_wide()) {
+    if ((fields == 5 || fields == WIDE_FIELDS) && c->alpha == 1 && (svoi_clip_has_wide() || svoi_avx2_has())) {
         int32_t factor[WIDE_FIELDS] = {0};
         const bool normals = layout->normal < SVO_MAX_CHANNELS;
         find_factors(layout, c, factor);
-        svoi_wide_add_flat(weight, l->target, l->count, fields, factor, normals ? layout->sum_normal + 3 : fields, normals ? direction_key(c->normal) : 0, sums);
+        (svoi_clip_has_wide() ? svoi_wide_add_flat : svoi_avx2_add_flat)(weight, l->target, l->count, fields, factor, normals ? layout->sum_normal + 3 : fields, normals ? direction_key(c->normal) : 0, sums);
         return;
     }
     for (uint32_t i = 0; i < l->count; i++) {

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "svo_morton.h"
+#include "svoi_shade_avx2.h"
 #include "svoi_shade_wide.h"
 
 static svo_result out_of_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory while averaging attributes"); }
@@ -273,6 +274,10 @@ static inline void take_flat(svoi_scan *s, uint64_t bits, uint64_t among, uint32
         svoi_wide_write(s->layout, &s->flat_values, bits, among, rank, s->channels);
         return;
     }
+    if (s->eight) {
+        svoi_avx2_write(s->layout, &s->flat_values, bits, among, rank, s->channels);
+        return;
+    }
     for (uint64_t rest = bits; rest != 0;) {
         const uint64_t low = rest & (0 - rest), gap = among & ~bits & ~(low - 1); /* from the first voxel on: those of others */
         const uint64_t run = gap != 0 ? rest & ((gap & (0 - gap)) - 1) : rest;
@@ -496,7 +501,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     for (uint32_t c = 0; c < r->info->channel_count; c++)
         if (!r->info->channels[c].constant) bytes += voxels * svo_channel_stride(r->info->channels[c].kind);
     w->values.size = 0;
-    if (!svo_buffer_append(&w->values, NULL, bytes)) return out_of_memory(err);
+    if (!svo_buffer_append(&w->values, NULL, bytes + 32)) return out_of_memory(err);
     bytes = 0;
     for (uint32_t c = 0; c < r->info->channel_count; c++) {
         s->channels[c] = NULL;
@@ -508,6 +513,7 @@ svo_result svoi_shade_chunk(svoi_scan *s, const int32_t box_lo[3], const int32_t
     const bool only_material = s->layout->fields == 1;
     s->first_slice = true;
     s->wide = svoi_clip_has_wide();
+    s->eight = !s->wide && svoi_avx2_has();
     const uint64_t slice = svoi_slice(r, svoi_part_count(s) > 1);
     for (uint64_t begin = 0; !only_material && (begin < complex || begin == 0); begin += slice) {
         s->slice_begin = begin;

@@ -19,5 +19,11 @@ void svoi_avx2_read(const svoi_texels *from, uint32_t w, const svoi_inner_textur
 void svoi_avx2_footprint(const svoi_texels *from, uint64_t origin, uint32_t w, const svoi_tap_plan *n, float x, float y, float sums[16]);
 /* Linear colours to sRGB, three bytes a colour: `steps` is svoi_srgb_steps(). Reads and writes up to a multiple of eight colours, and eight bytes more. */
 void svoi_avx2_colors(const uint32_t *steps, const float *r, const float *g, const float *b, uint32_t count, uint8_t *out);
+/* The same values to all voxels `bits` of a brick, whose voxels `among` have the numbers from `rank` on. Of colours and normals, up to 32 bytes behind the
+ * last value are read and written as they are. */
+void svoi_avx2_write(const svo_shade_layout *layout, const svoi_values *v, uint64_t bits, uint64_t among, uint32_t rank, uint8_t *const channels[SVO_MAX_CHANNELS]);
+/* svoi_wide_add and svoi_wide_add_flat of svoi_shade_wide.h. */
+void svoi_avx2_add(const uint32_t *weight, const uint32_t *target, uint32_t count, int32_t color[3][SVOI_LANES], int32_t normal[3][SVOI_LANES], uint64_t *sums);
+void svoi_avx2_add_flat(const uint32_t *weight, const uint32_t *target, uint32_t count, uint32_t fields, const int32_t *factor, uint32_t key_field, uint64_t direction, uint64_t *sums);
 
 #endif

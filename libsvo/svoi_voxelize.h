@@ -129,7 +129,7 @@ typedef struct svoi_scan {
     uint32_t shift;
     uint64_t slice_begin, slice_end; /* complex voxels averaged now */
     bool first_slice, one_slice;
-    bool wide; /* there is AVX-512 */
+    bool wide, eight; /* there is AVX-512; AVX2 alone */
     bool flat_ready;
     svo_contribution flat; /* of a flat facet, made when first used, and what a voxel has that it has alone */
     svoi_values flat_values;
