@@ -13,6 +13,8 @@
 #define FIRST_STEP 0.25          /* of d */
 #define LAST_STEP 0.01
 #define LARGEST_STEP 0.5
+#define SLACK 1e-9 /* more than rounding makes of a distance */
+enum { SEEN = 12 };
 
 /* 1 / d^4. Divisions and roots alone, as in all of this file: sin, pow and the like may differ in their last bits from one C library, or processor, to the next,
  * and joints would with them. */
@@ -26,6 +28,8 @@ typedef struct relaxing {
     const skeli_curve *curve;
     skeli_fans fans;
     double *d, *near, *price, *step; /* distance to the surface, its nearest point, price there, step / d */
+    double *seen;                    /* of each joint, SEEN points of the surface that were nearest to where it was or might have gone: what one of them refuses needs no search */
+    uint8_t *next_seen;              /* that is replaced */
     double cosine, sine; /* of the turn of this round's directions */
 } relaxing;
 
@@ -47,6 +51,17 @@ static double pull(const relaxing *r, uint32_t joint, const double *p, double *r
         *rest += length * r->price[n];
     }
     return sum;
+}
+
+/* Is one of the points seen from joint j no farther from q than `least`? Else *most is lowered to a little more than the nearest one's distance; a little, so that the search still finds the point that is the nearest. */
+static bool refused(const relaxing *r, uint32_t j, const double *q, double least, double *most)
+{
+    for (uint64_t i = 0; i < SEEN; i++) {
+        const double d = skeli_apart(q, r->seen + 3 * (SEEN * (uint64_t)j + i));
+        if (d * (1 + SLACK) < least) return true;
+        if (d * (1 + SLACK) < *most) *most = d * (1 + SLACK);
+    }
+    return false;
 }
 
 /* Joints of chains move across it, others anywhere. A step is shorter than d, so it cannot leave the solid. */
@@ -74,8 +89,13 @@ static bool relax_joint(relaxing *r, uint32_t j)
         if (!(best > rest) || !(sum > 0)) continue;
         double least = clearance((best - rest) / sum);
         if (!(most > least)) continue;
+        if (refused(r, j, q, least, &most)) continue;
         memcpy(next, near, sizeof next);
         double d = skeli_surface_clearance(r->surface, q, least, most, next);
+        if (d < most) {
+            memcpy(r->seen + 3 * (SEEN * (uint64_t)j + r->next_seen[j]), next, sizeof next);
+            r->next_seen[j] = (uint8_t)((r->next_seen[j] + 1) % SEEN);
+        }
         if (!(d > least)) continue;
         best = sum * price(d) + rest;
         to_d = d;
@@ -102,12 +122,16 @@ svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int round
     r.near = skeli_take(pool, 3 * (uint64_t)c->joints, sizeof *r.near);
     r.price = skeli_take(pool, c->joints, sizeof *r.price);
     r.step = skeli_take(pool, c->joints, sizeof *r.step);
-    if (r.d == NULL || r.near == NULL || r.price == NULL || r.step == NULL) return skeli_no_memory(err);
+    r.seen = skeli_take(pool, 3 * SEEN * (uint64_t)c->joints, sizeof *r.seen);
+    r.next_seen = skeli_take(pool, c->joints, sizeof *r.next_seen);
+    if (r.d == NULL || r.near == NULL || r.price == NULL || r.step == NULL || r.seen == NULL || r.next_seen == NULL) return skeli_no_memory(err);
     for (uint32_t j = 0; j < c->joints; j++) {
         r.d[j] = fmax(skeli_surface_distance(surface, c->position + 3 * (uint64_t)j, FAR, r.near + 3 * (uint64_t)j), 1);
         if (!skeli_surface_inside(surface, c->position + 3 * (uint64_t)j)) r.d[j] = 1;
         r.price[j] = price(r.d[j]);
         r.step[j] = FIRST_STEP;
+        r.next_seen[j] = 0;
+        for (uint64_t i = 0; i < SEEN; i++) memcpy(r.seen + 3 * (SEEN * (uint64_t)j + i), r.near + 3 * (uint64_t)j, 3 * sizeof *r.seen);
     }
     for (int round = 0; round < rounds; round++) {
         bool moved = false;
@@ -128,6 +152,8 @@ svo_result skeli_relax(skeli_pool *pool, const skeli_surface *surface, int round
     skeli_give(pool, r.near);
     skeli_give(pool, r.price);
     skeli_give(pool, r.step);
+    skeli_give(pool, r.seen);
+    skeli_give(pool, r.next_seen);
     skeli_fans_free(pool, &r.fans);
     return SVO_OK;
 }

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { LEAF = 4, SLAB_LEVELS = 5, GRID_DEPTH = 12 /* 2^20 lattice steps over two units */ };
+enum { LEAF = 4, FOUR = 4 * (6 + 5) /* boxes and slabs */, SLAB_LEVELS = 5, GRID_DEPTH = 12 /* 2^20 lattice steps over two units */ };
 
 #define SLAB_SLACK 16.0 /* lattice steps: more than what rounding of normals and planes to floats makes of a distance */
 
@@ -64,18 +64,21 @@ static void make_slab(const skeli_soup *soup, uint64_t begin, uint64_t end, floa
 
 static svo_result make_tree(skeli_pool *pool, skeli_surface *s, svo_error *err)
 {
-    uint64_t n = (s->soup->triangle_count + LEAF - 1) / LEAF, nodes = 0, slabs = 0;
+    uint64_t n = (s->soup->triangle_count + LEAF - 1) / LEAF, nodes = 0, fours = 0;
     s->levels = 0;
     while (n > 0) {
         s->first[s->levels] = nodes;
         s->size[s->levels++] = n;
         nodes += n;
-        if (s->levels <= SLAB_LEVELS) slabs = nodes;
         n = n > 1 ? (n + 1) / 2 : 0;
     }
+    for (uint32_t level = 0; level < s->levels; level += 2) {
+        s->first_four[level / 2] = fours;
+        fours += (s->size[level] + 3) / 4;
+    }
     s->box = skeli_take(pool, 6 * nodes, sizeof *s->box);
-    s->slab = skeli_take(pool, 5 * slabs, sizeof *s->slab);
-    if (s->box == NULL || s->slab == NULL) return skeli_no_memory(err);
+    s->four = skeli_take(pool, fours, FOUR * sizeof *s->four);
+    if (s->box == NULL || s->four == NULL) return skeli_no_memory(err);
     for (uint64_t i = 0; i < 6 * nodes; i++) s->box[i] = i % 6 < 3 ? INFINITY : -INFINITY;
     for (uint64_t t = 0; t < s->soup->triangle_count; t++)
         for (uint64_t k = 0; k < 3; k++) {
@@ -85,35 +88,18 @@ static svo_result make_tree(skeli_pool *pool, skeli_surface *s, svo_error *err)
         }
     for (uint32_t level = 1; level < s->levels; level++)
         for (uint64_t i = 0; i < s->size[level - 1]; i++) grow(s->box + 6 * (s->first[level] + i / 2), s->box + 6 * (s->first[level - 1] + i));
-    for (uint32_t level = 0; level < s->levels && level < SLAB_LEVELS; level++)
-        for (uint64_t i = 0; i < s->size[level]; i++) {
+    for (uint32_t level = 0; level < s->levels; level += 2)
+        for (uint64_t i = 0; i < (s->size[level] + 3) / 4 * 4; i++) {
+            float *four = s->four + FOUR * (s->first_four[level / 2] + i / 4) + i % 4, slab[5] = {0, 0, 0, 0, 0}; /* no direction: everything is between the planes */
             const uint64_t begin = (i * LEAF) << level, end = ((i + 1) * LEAF) << level;
-            make_slab(s->soup, begin, end < s->soup->triangle_count ? end : s->soup->triangle_count, s->slab + 5 * (s->first[level] + i));
+            if (i < s->size[level] && level < SLAB_LEVELS) make_slab(s->soup, begin, end < s->soup->triangle_count ? end : s->soup->triangle_count, slab);
+            for (uint64_t k = 0; k < 6; k++) four[4 * k] = i < s->size[level] ? s->box[6 * (s->first[level] + i) + k] : k < 3 ? INFINITY : -INFINITY;
+            for (uint64_t k = 0; k < 5; k++) four[4 * (6 + k)] = slab[k];
         }
     return SVO_OK;
 }
 
 typedef struct place { uint32_t level, at; double key; } place;
-
-static double box_distance2(const float *box, const double *p)
-{
-    double d2 = 0;
-    for (int k = 0; k < 3; k++) {
-        double d = p[k] < box[k] ? box[k] - p[k] : p[k] > box[3 + k] ? p[k] - box[3 + k] : 0;
-        d2 += d * d;
-    }
-    return d2;
-}
-
-/* At least so far is a node from p. */
-static double node_distance2(const skeli_surface *s, uint32_t level, uint32_t at, const double *p)
-{
-    const double d2 = box_distance2(s->box + 6 * (s->first[level] + at), p);
-    if (level >= SLAB_LEVELS) return d2;
-    const float *slab = s->slab + 5 * (s->first[level] + at);
-    const double x = slab[0] * p[0] + slab[1] * p[1] + slab[2] * p[2], below = slab[3] - x, above = x - slab[4], d = below > above ? below : above;
-    return d > 0 && d * d > d2 ? d * d : d2;
-}
 
 /* Of a needle, whose plane is not known: the nearest point of its sides. */
 static double needle_distance2(const double t[3][3], const double *p, double *nearest)
@@ -167,6 +153,74 @@ static double triangle_distance2(const double t[3][3], const double *p, double *
     return best;
 }
 
+/* Four nodes, or the triangles of a leaf, side by side. */
+typedef double lanes __attribute__((vector_size(8 * LEAF)));
+typedef int64_t chosen __attribute__((vector_size(8 * LEAF)));
+typedef float stored __attribute__((vector_size(4 * LEAF)));
+
+static inline lanes get(const float *leaf, int k)
+{
+    stored f;
+    memcpy(&f, leaf + LEAF * k, sizeof f);
+    return __builtin_convertvector(f, lanes);
+}
+
+static inline lanes pick(chosen which, lanes a, lanes b) { return (lanes)(((chosen)a & which) | ((chosen)b & ~which)); }
+
+/* At least so far, squared, are four nodes from p. */
+static void node_distances2(const float *four, const double *p, double out[LEAF])
+{
+    const lanes none = {0};
+    lanes box2 = none, along = none;
+    for (int k = 0; k < 3; k++) {
+        const lanes below = get(four, k) - p[k], above = p[k] - get(four, 3 + k), d = pick(below > none, below, pick(above > none, above, none));
+        box2 += d * d;
+        along += get(four, 6 + k) * p[k];
+    }
+    const lanes below = get(four, 9) - along, above = along - get(four, 10), d = pick(below > above, below, above), slab2 = pick(d > none, d * d, none);
+    const lanes most2 = pick(slab2 > box2, slab2, box2);
+    memcpy(out, &most2, sizeof most2);
+}
+
+/* Corners of a leaf's triangles side by side: the first's x of all four, its y, .. the third's z. The last leaf has its last triangle more than once. Kept, they would take 36 bytes a triangle. */
+static void load_leaf(const skeli_soup *soup, uint64_t begin, uint64_t end, float leaf[9 * LEAF])
+{
+    for (uint64_t i = 0; i < LEAF; i++) {
+        const uint32_t *c = soup->corner + 3 * (begin + i < end ? begin + i : end - 1);
+        for (uint64_t k = 0; k < 3; k++)
+            for (uint64_t e = 0; e < 3; e++) leaf[LEAF * (3 * k + e) + i] = (float)soup->position[3 * (uint64_t)c[k] + e];
+    }
+}
+
+/* Squared distances of the triangles of a leaf by triangle_distance2's arithmetic, so with its bits. Of the regions the last one that is picked is the first there. Needles have -1. */
+static void leaf_distances2(const float *leaf, const double *p, double out[LEAF])
+{
+    const lanes none = {0}, one = none + 1;
+    const lanes tx = get(leaf, 0), ty = get(leaf, 1), tz = get(leaf, 2);
+    const lanes ux = get(leaf, 3) - tx, uy = get(leaf, 4) - ty, uz = get(leaf, 5) - tz, vx = get(leaf, 6) - tx, vy = get(leaf, 7) - ty, vz = get(leaf, 8) - tz;
+    const lanes ax = p[0] - tx, ay = p[1] - ty, az = p[2] - tz;
+    const lanes d1 = ux * ax + uy * ay + uz * az, d2 = vx * ax + vy * ay + vz * az;
+    const lanes uu = ux * ux + uy * uy + uz * uz, uv = ux * vx + uy * vy + uz * vz, vv = vx * vx + vy * vy + vz * vz;
+    const lanes d3 = d1 - uu, d4 = d2 - uv, d5 = d1 - uv, d6 = d2 - vv, x = d3 * d6 - d5 * d4, y = d5 * d2 - d1 * d6, z = d1 * d4 - d3 * d2, a = d4 - d3, b = d5 - d6;
+    /* f = fy * q + fc, g = gy * q + gc with q = over / under: products with 0 and 1 and sums with 0 are exact */
+    lanes over = one, under = x + y + z, fy = y, fc = none, gy = z, gc = none;
+    chosen in = (x <= none) & (a >= none) & (b >= none), sides = in; /* third side */
+    over = pick(in, a, over), under = pick(in, a + b, under), fy = pick(in, -one, fy), fc = pick(in, one, fc), gy = pick(in, one, gy);
+    in = (y <= none) & (d2 >= none) & (d6 <= none), sides |= in; /* second side */
+    over = pick(in, d2, over), under = pick(in, d2 - d6, under), fy = pick(in, none, fy), fc = pick(in, none, fc), gy = pick(in, one, gy);
+    in = (z <= none) & (d1 >= none) & (d3 <= none), sides |= in; /* first side */
+    over = pick(in, d1, over), under = pick(in, d1 - d3, under), fy = pick(in, one, fy), fc = pick(in, none, fc), gy = pick(in, none, gy);
+    const chosen third = (d6 >= none) & (d5 <= d6), second = (d3 >= none) & (d4 <= d3), first = (d1 <= none) & (d2 <= none), corner = third | second | first;
+    const chosen flat = sides & ~(under > none); /* a side without a length */
+    lanes q = pick(flat | corner, none, over / pick(flat | corner, one, under));
+    fc = pick(corner, pick(second & ~first, one, none), fc);
+    gc = pick(third & ~second & ~first, one, gc);
+    const lanes f = fy * q + fc, g = gy * q + gc;
+    const lanes nx = p[0] - (tx + f * ux + g * vx), ny = p[1] - (ty + f * uy + g * vy), nz = p[2] - (tz + f * uz + g * vz);
+    const lanes distance2 = pick(uu * vv - uv * uv > 1e-12 * uu * vv, nx * nx + ny * ny + nz * nz, -one);
+    memcpy(out, &distance2, sizeof distance2);
+}
+
 double skeli_surface_distance(const skeli_surface *s, const double p[3], double most, double nearest[3])
 {
     return skeli_surface_clearance(s, p, 0, most, nearest);
@@ -176,38 +230,41 @@ double skeli_surface_clearance(const skeli_surface *s, const double p[3], double
 {
     if (s->levels == 0) return most;
     double best2 = most * most, least2 = least * least;
-    place stack[2 * SKELI_SURFACE_LEVELS];
+    place stack[3 * SKELI_SURFACE_LEVELS];
     int n = 0;
-    stack[n++] = (place){s->levels - 1, 0, 0};
+    stack[n++] = (place){(s->levels + 1) & ~1u, 0, 0}; /* above all: two levels at a time, even ones */
     while (n > 0 && best2 > least2) {
         place top = stack[--n];
         if (!(top.key < best2)) continue;
         if (top.level == 0) {
             uint64_t begin = (uint64_t)top.at * LEAF, end = begin + LEAF < s->soup->triangle_count ? begin + LEAF : s->soup->triangle_count;
+            float leaf[9 * LEAF];
+            double far2[LEAF];
+            load_leaf(s->soup, begin, end, leaf);
+            leaf_distances2(leaf, p, far2);
             for (uint64_t t = begin; t < end; t++) {
-                double corners[3][3], at[3];
+                if (far2[t - begin] >= best2) continue;
+                double corners[3][3], at[3], d2;
                 load(s->soup, t, corners);
-                double d2 = triangle_distance2((const double(*)[3])corners, p, at);
+                d2 = triangle_distance2((const double(*)[3])corners, p, at);
                 if (d2 >= best2) continue;
                 best2 = d2;
                 if (nearest != NULL) memcpy(nearest, at, sizeof at);
             }
             continue;
         }
-        place child[2];
+        const uint32_t level = top.level - 2;
+        double away2[4];
+        place child[4];
         int children = 0;
-        for (uint32_t k = 0; k < 2; k++) {
-            uint32_t at = 2 * top.at + k;
-            if (at >= s->size[top.level - 1]) break;
-            child[children] = (place){top.level - 1, at, node_distance2(s, top.level - 1, at, p)};
-            children += child[children].key < best2;
+        node_distances2(s->four + FOUR * (s->first_four[level / 2] + top.at), p, away2);
+        for (uint32_t k = 0; k < 4; k++) {
+            if (!(away2[k] < best2)) continue;
+            int i = children++;
+            for (; i > 0 && child[i - 1].key < away2[k]; i--) child[i] = child[i - 1]; /* the nearest one on top */
+            child[i] = (place){level, 4 * top.at + k, away2[k]};
         }
-        if (children == 2 && child[0].key < child[1].key) { /* the nearer one on top */
-            stack[n++] = child[1];
-            stack[n++] = child[0];
-        } else {
-            for (int k = 0; k < children; k++) stack[n++] = child[k];
-        }
+        for (int k = 0; k < children; k++) stack[n++] = child[k];
     }
     return sqrt(best2);
 }

@@ -93,7 +93,7 @@ svo_result skeli_ways(skeli_pool *pool, const skeli_state *s, uint32_t threads, 
     SVO_TRY(svo_parallel_for(s->count < 2 * BLOCK ? 1 : threads, s->count, BLOCK, look, &l, err));
     grade(s, way);
     skeli_give(pool, surface.box);
-    skeli_give(pool, surface.slab);
+    skeli_give(pool, surface.four);
     skeli_give(pool, soup.position);
     return SVO_OK;
 }

@@ -16,7 +16,9 @@ typedef struct skeli_surface {
     uint32_t levels;
     uint64_t first[SKELI_SURFACE_LEVELS], size[SKELI_SURFACE_LEVELS]; /* nodes of a level, leaves first */
     float *box;                                                      /* low x y z, high x y z; whole lattice steps, so exact */
-    float *slab; /* of the lowest levels: unit normal, lowest and highest coordinate along it */
+    /* Of every other level, leaves first, four nodes side by side: their boxes, and of the lowest levels unit normals and lowest and highest coordinates along them. */
+    float *four;
+    uint64_t first_four[SKELI_SURFACE_LEVELS / 2 + 1];
     /* Inside: the model as it was given, with its orientation. */
     svo_part part;
     svo_shape shape;
