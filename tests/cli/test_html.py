@@ -185,6 +185,45 @@ def test_controls(folder):
         check(p.problems == [], p.problems)
 
 
+def covered_columns(shot, until):
+    """First and last column left of `until` that shows something else than the background of its row."""
+    columns = [x for x in range(until) if any(max(abs(u - v) for u, v in zip(row[x], row[0])) > 12 for row in shot)]
+    check(columns, "nothing is seen")
+    return columns[0], columns[-1]
+
+
+def test_panel_leaves_the_middle(folder):
+    """What is framed stands in the middle of what the panel leaves free; the wheel keeps what is under the pointer there too."""
+    browser.find()
+    html = page(folder, sphere(folder))
+    for width, height, folded in ((900, 500, False), (660, 500, False), (360, 560, True)):
+        with browser.open_page(html, width, height) as p:
+            check(p.evaluate("document.getElementById('panel').classList.contains('folded')") is folded, "%d wide: panel folded is not %s" % (width, folded))
+            free = width if folded else p.evaluate("document.getElementById('panel').offsetLeft")
+            check(folded or width - free > 300, free)
+            p.evaluate("document.getElementById('fold').style.visibility = 'hidden'")
+            if folded:
+                p.evaluate("document.getElementById('panel').style.opacity = 0")
+            p.evaluate("Object.assign(svokit.state, {steady: true, shadows: false}); svokit.draw(1)")
+            p.screenshot(folder / "wide.png")
+            first, last = covered_columns(pixels(folder / "wide.png"), free - 12) # left of the panel's shadow
+            check(0 < first and last < free - 13 and abs(first + last + 1 - free) <= 3, "%d wide: columns %d to %d of %d free ones" % (width, first, last, free))
+            check(last - first > 0.3 * free, "framed too small: columns %d to %d of %d" % (first, last, free))
+            x, y = (first + free // 2) // 2, height // 2
+            under = p.evaluate("svokit.pick(%d, %d)" % (x, y))
+            p.wheel(x, y, -300)
+            p.wait("svokit.pick(%d, %d).t < 0.9 * %g" % (x, y, under["t"]))
+            after = p.evaluate("svokit.pick(%d, %d)" % (x, y))
+            check(max(abs(a - b) for a, b in zip(under["position"], after["position"])) < 0.05, "the wheel does not zoom to the pointer: %s %s" % (under, after))
+            p.evaluate("svokit.frame(); document.getElementById('fold').click(); document.getElementById('panel').style.opacity = 0")
+            if not folded: # without the panel: the middle of the window
+                p.evaluate("svokit.draw(1)")
+                p.screenshot(folder / "folded.png")
+                first, last = covered_columns(pixels(folder / "folded.png"), width)
+                check(abs(first + last + 1 - width) <= 3, "columns %d to %d of %d" % (first, last, width))
+            check(p.problems == [], p.problems)
+
+
 def test_labels(folder):
     browser.find()
     file = cube(folder, 5, "label", ("--attributes", "color,material"))

@@ -19,6 +19,7 @@ uniform sampler2D uInstances, uTree;
 uniform vec3 uEye, uRight, uUp, uForward; // of length 1
 uniform vec2 uSize;                       // of the picture in pixels
 uniform vec2 uOffset;                     // of this drawing in the picture
+uniform float uCenter;                    // column that the camera looks along: the middle of what the panel leaves free
 uniform float uHalf;                      // tangent of half the vertical field of view
 uniform float uFootprint;                 // stop at nodes so many pixels wide; 0: at leaves only
 uniform int uLevel;                       // finest level drawn
@@ -310,7 +311,7 @@ void main()
 {
     vec2 at = gl_FragCoord.xy + uOffset;
     float scale = 2.0 * uHalf / uSize.y;
-    vec3 direction = uForward + uRight * ((at.x - 0.5 * uSize.x) * scale) + uUp * ((at.y - 0.5 * uSize.y) * scale);
+    vec3 direction = uForward + uRight * ((at.x - uCenter) * scale) + uUp * ((at.y - 0.5 * uSize.y) * scale);
     float spread = uFootprint * scale;
     Hit h = trace(uEye, direction, 0.0, spread, 0.0, false);
     uvec2 value = uvec2(0u);

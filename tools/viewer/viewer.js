@@ -308,10 +308,17 @@ function axes() {
     return { forward, right, up: cross(right, forward) };
 }
 
+/* Middle of the part of the canvas that the panel leaves free, in CSS pixels. A panel over most of a narrow window moves nothing:
+ * what it leaves would be too little to look at, and who has it open there reads it. */
+function center() {
+    const width = canvas.clientWidth, p = element("panel"), open = !p.hidden && !p.classList.contains("folded");
+    return open && p.offsetLeft > 0.4 * width ? 0.5 * p.offsetLeft : 0.5 * width;
+}
+
 function frame() {
     const forward = unit([-0.62, -0.42, -1]), right = unit(cross(forward, [0, 1, 0])), up = cross(right, forward);
     const middle = bounds.low.map((v, k) => 0.5 * (v + bounds.high[k])), ty = Math.tan(camera.fov * Math.PI / 360) * 0.92;
-    const tx = ty * Math.max(0.2, canvas.clientWidth / Math.max(1, canvas.clientHeight));
+    const tx = ty * Math.max(0.2, 2 * center() / Math.max(1, canvas.clientHeight));
     let distance = 1e-6;
     for (let i = 0; i < 8; i++) {
         const c = sub([0, 1, 2].map(k => i >> k & 1 ? bounds.high[k] : bounds.low[k]), middle), z = dot(c, forward);
@@ -339,7 +346,7 @@ function shift(dx, dy) { // in pixels; what is at the target's distance follows 
 
 function rayAt(x, y) { // of a place in the canvas, in CSS pixels
     const a = axes(), s = 2 * Math.tan(camera.fov * Math.PI / 360) / canvas.clientHeight;
-    return add(add(a.forward, a.right, (x - 0.5 * canvas.clientWidth) * s), a.up, (0.5 * canvas.clientHeight - y) * s);
+    return add(add(a.forward, a.right, (x - center()) * s), a.up, (0.5 * canvas.clientHeight - y) * s);
 }
 
 /* Move towards what is under the pointer, so that it stays there. */
@@ -359,7 +366,7 @@ function zoom(x, y, factor) {
 const state = { mode: 0, level: deepest, axis: -1, slice: 0.5, flip: false, shadows: true, detail: true, steady: false }; // steady: never coarser while moving
 let scale = 1, wanted = false, cost = 0, moving = 0;
 
-function useProgram(which, width, height, dx, dy) {
+function useProgram(which, width, height, middle, dx, dy) {
     gl.useProgram(which.p);
     const a = axes(), at = which.at, names = ["uNodes", "uAttributes", "uEmissive", "uAssets", "uInstances", "uTree"];
     names.forEach((name, i) => { if (at[name]) gl.uniform1i(at[name], i); });
@@ -369,6 +376,7 @@ function useProgram(which, width, height, dx, dy) {
     gl.uniform3fv(at.uForward, a.forward);
     gl.uniform2f(at.uSize, width, height);
     gl.uniform2f(at.uOffset, dx, dy);
+    gl.uniform1f(at.uCenter, middle);
     gl.uniform1f(at.uHalf, Math.tan(camera.fov * Math.PI / 360));
     gl.uniform1f(at.uFootprint, state.detail ? 1 : 0);
     gl.uniform1i(at.uLevel, state.level);
@@ -389,14 +397,14 @@ function useProgram(which, width, height, dx, dy) {
     gl.uniform3f(at.uBottom, 0.86, 0.87, 0.88);
 }
 
-function draw(factor = 1) {
+function draw(factor = 1, middle = center()) {
     const ratio = (window.devicePixelRatio || 1) * factor;
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     if (canvas.width !== width || canvas.height !== height) canvas.width = width, canvas.height = height;
     const begin = performance.now();
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
-    useProgram(drawing, width, height, 0, 0);
+    useProgram(drawing, width, height, middle * width / Math.max(1, canvas.clientWidth), 0, 0);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // wait for it
     cost = performance.now() - begin;
@@ -424,7 +432,7 @@ function pick(x, y) {
     const width = Math.max(1, canvas.clientWidth), height = Math.max(1, canvas.clientHeight), out = new Uint32Array(4);
     gl.bindFramebuffer(gl.FRAMEBUFFER, pickTarget);
     gl.viewport(0, 0, 1, 1);
-    useProgram(picking, width, height, x - 0.5, height - y - 0.5);
+    useProgram(picking, width, height, center(), x - 0.5, height - y - 0.5);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, out);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -511,14 +519,20 @@ control("shadows", e => state.shadows = e.checked);
 control("detail", e => state.detail = e.checked);
 element("frame").onclick = frame;
 element("save").onclick = save;
-element("fold").onclick = () => element("panel").classList.toggle("folded");
+element("fold").onclick = fold;
+
+function fold() {
+    element("panel").classList.toggle("folded");
+    redraw();
+}
 
 function save() {
-    draw(1);
+    draw(1, 0.5 * canvas.clientWidth); // a picture has no panel to make room for
     const a = document.createElement("a");
     a.download = element("name").textContent + ".png";
     a.href = canvas.toDataURL("image/png");
     a.click();
+    redraw();
 }
 
 let shownAt = 0;
@@ -586,10 +600,10 @@ canvas.addEventListener("dblclick", e => {
 });
 window.addEventListener("keydown", e => {
     if (e.target instanceof HTMLInputElement || e.target instanceof HTMLSelectElement || e.ctrlKey || e.metaKey || e.altKey) return;
-    const step = 0.1, w = canvas.clientWidth / 2, h = canvas.clientHeight / 2;
+    const step = 0.1, w = center(), h = canvas.clientHeight / 2;
     const keys = { ArrowLeft: () => turn(-step, 0), ArrowRight: () => turn(step, 0), ArrowUp: () => turn(0, step), ArrowDown: () => turn(0, -step),
         "+": () => zoom(w, h, 0.85), "=": () => zoom(w, h, 0.85), "-": () => zoom(w, h, 1 / 0.85), f: frame, Home: frame, s: save,
-        h: () => element("panel").classList.toggle("folded") };
+        h: fold };
     const act = keys[e.key.length === 1 ? e.key.toLowerCase() : e.key];
     if (!act) return;
     e.preventDefault();
@@ -619,6 +633,7 @@ window.addEventListener("hashchange", recall);
 
 panel();
 syncControls();
+if (innerWidth < 640) element("panel").classList.add("folded");
 if (!recall()) {
     frame();
     if (meta.camera) setCamera(meta.camera.eye, meta.camera.target, meta.camera.fov);
