@@ -78,15 +78,7 @@ struct builder {
 
     void prepare(const tinygltf::Material &from)
     {
-        const bool alpha_only = without(FMT_WITHOUT_COLOR);
-        if (!alpha_only || from.alphaMode == "MASK") {
-            prepare(from.pbrMetallicRoughness.baseColorTexture.index, alpha_only);
-            auto x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
-            if (x != from.extensions.end() && from.values.empty() && x->second.Has("diffuseTexture") && x->second.Get("diffuseTexture").Has("index"))
-                prepare(x->second.Get("diffuseTexture").Get("index").GetNumberAsInt(), alpha_only);
-        }
-        if (!without(FMT_WITHOUT_METALLIC_ROUGHNESS)) prepare(from.pbrMetallicRoughness.metallicRoughnessTexture.index, false);
-        if (!without(FMT_WITHOUT_EMISSIVE)) prepare(from.emissiveTexture.index, false);
+        each_texture(from, [this](svo_texture svo_material::*, int index, int, const tinygltf::ExtensionMap &, bool alpha_only) { prepare(index, alpha_only); });
     }
 
     void decode() { import_images_decode(d.context, jobs.data(), jobs.size()); }
@@ -184,23 +176,39 @@ struct builder {
         std::memcpy(out, m, sizeof m);
     }
 
-    /* Without colours, only what cuts a surface out is read. */
-    bool reads_base(const svo_material &m) const { return !without(FMT_WITHOUT_COLOR) || m.alpha_mode == SVO_ALPHA_MASK; }
+    /* The old workflow, where a material has it and no values of the new one. */
+    static const tinygltf::Value *specular_glossiness(const tinygltf::Material &from)
+    {
+        auto x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
+        return x != from.extensions.end() && from.values.empty() ? &x->second : nullptr;
+    }
 
-    /* The old workflow: its diffuse colour stands for the base colour, which is right for everything but metals. */
-    void specular_glossiness(const tinygltf::Value &x, svo_material *m)
+    /* The textures that a material is made of: each(where it goes, index, set of coordinates, extensions, alpha only). A later one for the
+     * same place replaces the earlier. Without colours, only what cuts a surface out is read. */
+    template <class F> void each_texture(const tinygltf::Material &from, F each) const
+    {
+        const bool alpha_only = without(FMT_WITHOUT_COLOR), reads_base = !alpha_only || from.alphaMode == "MASK";
+        const tinygltf::PbrMetallicRoughness &pbr = from.pbrMetallicRoughness;
+        auto one = [&](svo_texture svo_material::*to, const tinygltf::TextureInfo &t, bool alpha) { each(to, t.index, t.texCoord, t.extensions, alpha); };
+        if (reads_base) one(&svo_material::base_color_texture, pbr.baseColorTexture, alpha_only);
+        if (!without(FMT_WITHOUT_METALLIC_ROUGHNESS)) one(&svo_material::metallic_roughness_texture, pbr.metallicRoughnessTexture, false);
+        if (!without(FMT_WITHOUT_EMISSIVE)) one(&svo_material::emissive_texture, from.emissiveTexture, false);
+        const tinygltf::Value *x = specular_glossiness(from);
+        if (!reads_base || x == nullptr || !x->Has("diffuseTexture") || !x->Get("diffuseTexture").Has("index")) return;
+        const tinygltf::Value &t = x->Get("diffuseTexture");
+        tinygltf::ExtensionMap extensions;
+        if (t.Has("extensions") && t.Get("extensions").Has("KHR_texture_transform"))
+            extensions["KHR_texture_transform"] = t.Get("extensions").Get("KHR_texture_transform");
+        each(&svo_material::base_color_texture, t.Get("index").GetNumberAsInt(), t.Has("texCoord") ? t.Get("texCoord").GetNumberAsInt() : 0, extensions, alpha_only);
+    }
+
+    /* Its diffuse colour stands for the base colour, which is right for everything but metals. */
+    void values_of_specular_glossiness(const tinygltf::Value &x, svo_material *m)
     {
         svo_warn(d.warnings(), "%s: specular-glossiness materials: the diffuse colour is taken as base colour", d.path());
         if (x.Has("diffuseFactor"))
             for (int k = 0; k < 4; k++) m->base_color[k] = static_cast<float>(x.Get("diffuseFactor").Get(k).GetNumberAsDouble());
         m->roughness = 1 - static_cast<float>(x.Has("glossinessFactor") ? x.Get("glossinessFactor").GetNumberAsDouble() : 1);
-        if (!x.Has("diffuseTexture") || !reads_base(*m)) return;
-        const tinygltf::Value &t = x.Get("diffuseTexture");
-        tinygltf::ExtensionMap extensions;
-        if (t.Has("extensions") && t.Get("extensions").Has("KHR_texture_transform"))
-            extensions["KHR_texture_transform"] = t.Get("extensions").Get("KHR_texture_transform");
-        m->base_color_texture =
-            texture(t.Get("index").GetNumberAsInt(), t.Has("texCoord") ? t.Get("texCoord").GetNumberAsInt() : 0, extensions, without(FMT_WITHOUT_COLOR));
     }
 
     void material(const tinygltf::Material &from, bool used, svo_material *m)
@@ -217,14 +225,10 @@ struct builder {
         m->alpha_cutoff = static_cast<float>(from.alphaCutoff);
         m->double_sided = from.doubleSided;
         if (!used) return;
-        if (reads_base(*m))
-            m->base_color_texture = texture(pbr.baseColorTexture.index, pbr.baseColorTexture.texCoord, pbr.baseColorTexture.extensions, without(FMT_WITHOUT_COLOR));
-        if (!without(FMT_WITHOUT_METALLIC_ROUGHNESS))
-            m->metallic_roughness_texture =
-                texture(pbr.metallicRoughnessTexture.index, pbr.metallicRoughnessTexture.texCoord, pbr.metallicRoughnessTexture.extensions, false);
-        if (!without(FMT_WITHOUT_EMISSIVE)) m->emissive_texture = texture(from.emissiveTexture.index, from.emissiveTexture.texCoord, from.emissiveTexture.extensions, false);
-        x = from.extensions.find("KHR_materials_pbrSpecularGlossiness");
-        if (x != from.extensions.end() && from.values.empty()) specular_glossiness(x->second, m);
+        each_texture(from, [this, m](svo_texture svo_material::*to, int index, int uv_set, const tinygltf::ExtensionMap &extensions, bool alpha_only) {
+            m->*to = texture(index, uv_set, extensions, alpha_only);
+        });
+        if (const tinygltf::Value *old = specular_glossiness(from)) values_of_specular_glossiness(*old, m);
     }
 };
 
