@@ -350,23 +350,36 @@ svo_vec3 svo_deform_blended_point(const svo_deform *d, svo_bone_list list, svo_v
 
 /* ---- normals ----------------------------------------------------------------------------------------------------------- */
 
-static svo_vec3 normal_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p, double edge, svo_vec3 n)
+/* n in mesh coordinates as a covector of the grid: times the transposed map. */
+static svo_vec3 covector(const svo_deform *d, svo_vec3 n)
 {
-    svo_vec3 g = svo_v3(0, 0, 0), column[3];
-    /* as a covector of the grid: n in mesh coordinates times the transposed map */
     const double *m = d->grid.m;
-    g.x = m[0] * n.x + m[4] * n.y + m[8] * n.z;
-    g.y = m[1] * n.x + m[5] * n.y + m[9] * n.z;
-    g.z = m[2] * n.x + m[6] * n.y + m[10] * n.z;
+    return svo_v3(m[0] * n.x + m[4] * n.y + m[8] * n.z, m[1] * n.x + m[5] * n.y + m[9] * n.z, m[2] * n.x + m[6] * n.y + m[10] * n.z);
+}
+
+/* Images of the grid's three planes at p, as vectors at right angles to them as long as the image of half an edge times half an edge is large. Returns whether the map reflects. */
+static bool planes_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p, double edge, svo_vec3 plane[3])
+{
+    svo_vec3 column[3];
     double h = 0.25 * edge;
     for (int k = 0; k < 3; k++) {
         svo_vec3 step = svo_v3(k == 0 ? h : 0, k == 1 ? h : 0, k == 2 ? h : 0);
         column[k] = svo_sub(point_after(d, in, svo_add(p, step)), point_after(d, in, svo_sub(p, step)));
     }
-    svo_vec3 a = svo_cross(column[1], column[2]), b = svo_cross(column[2], column[0]), c = svo_cross(column[0], column[1]);
-    double sign = svo_dot(column[0], a) < 0 ? -1 : 1; /* a reflection keeps the side */
-    svo_vec3 r = svo_add(svo_scale(a, g.x), svo_add(svo_scale(b, g.y), svo_scale(c, g.z)));
-    return svo_normalize(svo_scale(r, sign));
+    plane[0] = svo_cross(column[1], column[2]), plane[1] = svo_cross(column[2], column[0]), plane[2] = svo_cross(column[0], column[1]);
+    return svo_dot(column[0], plane[0]) < 0;
+}
+
+static svo_vec3 on_planes(const svo_vec3 plane[3], svo_vec3 g)
+{
+    return svo_add(svo_scale(plane[0], g.x), svo_add(svo_scale(plane[1], g.y), svo_scale(plane[2], g.z)));
+}
+
+static svo_vec3 normal_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p, double edge, svo_vec3 n)
+{
+    svo_vec3 plane[3];
+    double sign = planes_after(d, in, p, edge, plane) ? -1 : 1; /* a reflection keeps the side */
+    return svo_normalize(svo_scale(on_planes(plane, covector(d, n)), sign));
 }
 
 svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, double edge, svo_vec3 n)
@@ -379,4 +392,14 @@ svo_vec3 svo_deform_blended_normal(const svo_deform *d, svo_bone_list list, svo_
 {
     svo_mat4 in = middle(d, list);
     return normal_after(d, &in, p, edge, n);
+}
+
+double svo_deform_blended_area(const svo_deform *d, svo_bone_list list, svo_vec3 p, double edge, svo_vec3 n, bool thin)
+{
+    svo_mat4 in = middle(d, list);
+    svo_vec3 plane[3], g = covector(d, n);
+    planes_after(d, &in, p, edge, plane);
+    const double x = fabs(g.x), y = fabs(g.y), z = fabs(g.z), thick = thin ? fmax(x, fmax(y, z)) : x + y + z;
+    if (thick == 0) return 4.0 / 3 * (svo_length(plane[0]) + svo_length(plane[1]) + svo_length(plane[2]));
+    return 4 * svo_length(on_planes(plane, g)) / thick; /* planes are of a quarter of a face */
 }

@@ -42,9 +42,23 @@ void svo_hierarchy_free(svo_hierarchy *h)
 
 /* ---- values --------------------------------------------------------------------------------------------------------- */
 
-/* `times` copies of the average value of samples [i, end). */
-static bool put_values(builder *b, uint64_t i, uint64_t end, uint32_t times)
+/* Samples of a cell: its own are [begin, end), those of finer cells inside it [end, inside). */
+typedef struct cell_samples { uint64_t begin, end, inside; } cell_samples;
+
+static cell_samples samples_at(const svo_hierarchy_input *in, uint64_t begin)
 {
+    const svo_sample *s = in->samples;
+    const uint64_t behind = s[begin].code + ((uint64_t)1 << 3 * (in->depth - s[begin].level));
+    cell_samples c = {begin, begin + 1, 0};
+    while (c.end < in->sample_count && s[c.end].code == s[begin].code && s[c.end].level == s[begin].level) c.end++;
+    for (c.inside = c.end; c.inside < in->sample_count && s[c.inside].code < behind;) c.inside++;
+    return c;
+}
+
+/* `times` copies of the value of a cell, which is stored as cells of `level`. */
+static bool put_values(builder *b, cell_samples of, uint32_t level, uint32_t times)
+{
+    const uint64_t i = of.begin, end = of.end;
     const svo_hierarchy_input *in = b->in;
     b->values += times;
     for (uint32_t c = 0; c < in->channel_count; c++) {
@@ -60,6 +74,7 @@ static bool put_values(builder *b, uint64_t i, uint64_t end, uint32_t times)
             for (uint64_t k = i; k < end; k++) svo_average_add(&sum, kind, in->values[c] + (uint64_t)in->samples[k].value * stride, 1);
             svo_average_get(&sum, kind, first, value);
         }
+        if (in->merge != NULL && in->merge->channel == c) in->merge->merge(in->merge->user, in->samples + i, of.inside - i, level, value);
         for (uint32_t t = 0; t < times; t++)
             if (svo_buffer_append(&b->h->values[c], value, stride) == NULL) return false;
     }
@@ -79,17 +94,19 @@ static svo_result take_cells(builder *b, svo_hierarchy_report *report, svo_error
     const svo_hierarchy_input *in = b->in;
     svo_view *v = &b->h->view;
     uint32_t depth = in->depth;
-    uint64_t covered = 0, brick = 0, brick_code = UINT64_MAX, brick_first = 0;
-    for (uint64_t i = 0, end; i < in->sample_count; i = end) {
+    uint64_t brick = 0, brick_code = UINT64_MAX, brick_first = 0;
+    cell_samples of;
+    for (uint64_t i = 0; i < in->sample_count; i = of.inside) {
         const svo_sample *s = &in->samples[i];
         SVO_ASSERT(s->level <= depth && s->value < in->value_count && s->code >> 3 * depth == 0);
-        for (end = i + 1; end < in->sample_count && in->samples[end].code == s->code && in->samples[end].level == s->level;) end++;
-        if (s->code < covered) continue; /* inside a coarser cell */
         uint64_t first = b->values;
         uint32_t below = depth - s->level;
-        covered = s->code + ((uint64_t)1 << 3 * below);
+        of = samples_at(in, i);
         report->cells++;
-        if (!put_values(b, i, end, below == 1 ? 8 : 1)) return no_memory(err);
+        uint32_t stored = s->level, times = 1;
+        if (below == 1) stored = depth, times = 8;
+        if (s->level == 0) stored = v->brick_level == 0 ? depth : 1, times = v->brick_level == 0 ? 64 : 8; /* see build */
+        if (!put_values(b, of, stored, times)) return no_memory(err);
         if (below < 2) {
             if (s->code >> 6 != brick_code) {
                 if (brick != 0 && (svo_buffer_append(&b->h->bricks, &brick, 8) == NULL || !put_item(&b->nodes[0], brick_code, (uint32_t)(v->brick_count++), brick_first)))
@@ -179,8 +196,6 @@ static svo_result build(builder *b, svo_hierarchy_report *report, svo_error *err
     bool whole = b->leaves[0].size != 0;
     for (uint64_t c = 0; c < 8 && whole; c++)
         if (!put_item(&b->leaves[1], c, FULL, c)) return no_memory(err);
-    for (int i = 1; i < (v->brick_level == 0 ? 64 : 8) && whole; i++)
-        if (!put_values(b, 0, 1, 1)) return no_memory(err);
     svo_buffer *below = &b->nodes[0], *to = &b->nodes[1], *t;
     if (v->brick_level == 0 && whole) { /* all of 4^3 */
         uint64_t all = UINT64_MAX;

@@ -16,6 +16,14 @@ typedef struct svo_sample {
     uint32_t level; /* 0 .. depth; bits of the code below it are 0 */
 } svo_sample;
 
+/* How one channel is made where averages would not do, as sums of what is in a cell. `samples`: all of a cell, and after them those of finer cells inside it (which have no cell of
+ * their own); the cell is that of samples[0], and is stored as cells of `level`, which is its own or finer. `value` comes as the average of the cell's own. Called by one thread at a time. */
+typedef struct svo_hierarchy_merge {
+    uint32_t channel;
+    void (*merge)(void *user, const svo_sample *samples, uint64_t count, uint32_t level, uint8_t *value);
+    void *user;
+} svo_hierarchy_merge;
+
 typedef struct svo_hierarchy_input {
     uint32_t depth; /* 2 .. SVO_MAX_DEPTH */
     double voxel_to_world[16];
@@ -25,6 +33,7 @@ typedef struct svo_hierarchy_input {
     uint32_t channel_count;
     svo_channel channels[SVO_MAX_CHANNELS]; /* none constant */
     const uint8_t *values[SVO_MAX_CHANNELS]; /* value_count * stride bytes */
+    const svo_hierarchy_merge *merge; /* NULL: all channels are averages */
 } svo_hierarchy_input;
 
 typedef struct svo_hierarchy_report {

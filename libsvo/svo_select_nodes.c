@@ -119,18 +119,21 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
         if (b.low[k] > low[k]) b.low[k] = nextafterf(b.low[k], -INFINITY);
         if (b.high[k] < high[k]) b.high[k] = nextafterf(b.high[k], INFINITY);
     }
-    svo_vec3 normal = {0, 0, 0};
-    uint32_t channel = s->normal_channel[s->scene->instance_asset[p->instance]];
+    const uint32_t asset = s->scene->instance_asset[p->instance], channel = s->normal_channel[asset];
+    const double edge = edge_of(p, n);
+    const svo_bone_list list = p->bones != NULL ? svo_bones_at(p->bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
+    const svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};
+    svo_vec3 stored = {0, 0, 0}, normal = {0, 0, 0};
     if (channel != SVO_MAX_CHANNELS) {
         uint8_t value[SVO_MAX_STRIDE];
         float f[3];
-        double edge = edge_of(p, n);
         svo_view_attribute(p->view, channel, attribute, value);
         svo_oct32_decode(value, f);
-        svo_bone_list list = p->bones != NULL ? svo_bones_at(p->bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
-        svo_vec3 middle = {(n->cell[0] + 0.5) * edge, (n->cell[1] + 0.5) * edge, (n->cell[2] + 0.5) * edge};
-        normal = svo_deform_blended_normal(&p->map, list, middle, edge, svo_v3(f[0], f[1], f[2]));
+        stored = svo_v3(f[0], f[1], f[2]);
+        normal = svo_deform_blended_normal(&p->map, list, middle, edge, stored);
     }
+    if (s->coverage_channel[asset] != SVO_MAX_CHANNELS)
+        b.area = (float)svo_deform_blended_area(&p->map, list, middle, edge, stored, p->view->surface == SVO_SURFACE_THIN);
     if (svo_dot(normal, normal) == 0) normal = svo_normalize(svo_v3(-0.5 * (low[0] + high[0]), -0.5 * (low[1] + high[1]), -0.5 * (low[2] + high[2])));
     float f[3] = {(float)normal.x, (float)normal.y, (float)normal.z};
     svo_oct32_encode(f, b.normal);

@@ -2,6 +2,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "svo_morton.h"
 #include "svo_resample.h"
 #include "svo_task.h"
 #include "svoi_select.h"
@@ -56,23 +57,48 @@ typedef struct gathering {
     const svo_resampled *cells;
     uint32_t *channel[KINDS], *short_bone; /* of each asset, SVO_MAX_CHANNELS: none; short_bone: bones of 16 bits */
     uint8_t *normals, *values[KINDS];      /* NULL: not carried */
-    uint8_t *level;                        /* of the cells of each box, where coverage is carried */
     uint8_t mirror;                        /* metallic of assets that have neither it nor a roughness */
 } gathering;
 
-/* A ray goes through several cells of a box, and of its neighbours, that overlap it. What they cover together is to be what the voxel covers: the renderer takes the cells of
- * a surface to be as thick as |n| . edge an axis, and here they are as thick as the boxes, and a cell more for those that boxes meet in part. */
-static uint8_t thinner_coverage(const gathering *g, uint64_t i, uint8_t coverage)
+/* The part of a box that is in a cell. */
+static double share_of(const gathering *g, const svo_selected *b, const svo_sample *s)
 {
-    const svo_selected *b = &g->selection->boxes[i];
-    const double edge = ldexp(g->cells->voxel_to_world[0], (int)(g->cells->depth - g->level[i]));
-    double cell = 0, all = 0;
-    float n[3];
-    svo_oct32_decode(b->normal, n);
-    for (int k = 0; k < 3; k++) cell += fabsf(n[k]) * edge, all += fabsf(n[k]) * ((double)b->high[k] - b->low[k] + edge);
-    if (coverage == 255 || coverage == 0) return coverage;
-    const double share = 1 - pow(1 - coverage / 255.0, cell / all);
-    return (uint8_t)fmin(fmax(rint(255 * share), 1), 254);
+    const double edge = ldexp(g->cells->voxel_to_world[0], (int)(g->cells->depth - s->level));
+    const double *m = g->cells->voxel_to_world, *origin = g->selection->origin;
+    uint32_t cell[3];
+    double share = 1;
+    svo_morton_decode(s->code >> 3 * (g->cells->depth - s->level), &cell[0], &cell[1], &cell[2]);
+    for (int k = 0; k < 3; k++) {
+        const double low = m[4 * k + 3] - origin[k] + cell[k] * edge, length = (double)b->high[k] - b->low[k];
+        if (length > 0) share *= fmin(fmax(fmin(b->high[k], low + edge) - fmax(b->low[k], low), 0) / length, 1);
+    }
+    return share;
+}
+
+/* Deformed boxes overlap and cells overlap them, so a ray meets several cells for each voxel that it would have met. What they cover together is to be what the voxels do: each box has
+ * an optical depth times the area of the surface that it stands for, and shares it out to its cells by the volume that is in them. A cell's depth, as thick as the renderer takes it to be
+ * (|n| . edge an axis), is what it got over its volume. What hides all that is behind it does so in every cell that it meets. */
+static void merge_coverage(void *user, const svo_sample *samples, uint64_t count, uint32_t level, uint8_t *value)
+{
+    const gathering *g = user;
+    const double voxel = g->cells->voxel_to_world[0], edge = ldexp(voxel, (int)(g->cells->depth - samples[0].level)), stored = ldexp(voxel, (int)(g->cells->depth - level));
+    double sum = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        const svo_selected *b = &g->selection->boxes[samples[i].value];
+        const uint8_t coverage = g->values[COVERAGE][samples[i].value];
+        float n[3];
+        if (coverage == 255) {
+            *value = 255;
+            return;
+        }
+        if (coverage == 0) continue;
+        svo_oct32_decode(b->normal, n);
+        sum -= log1p(-coverage / 255.0) * b->area * (fabsf(n[0]) + fabsf(n[1]) + fabsf(n[2])) * share_of(g, b, &samples[i]);
+    }
+    /* Bytes are coarse for what covers little, so they are rounded up and down at random (by the place of the cell): right in the mean. */
+    const uint64_t mixed = ((samples[0].code << 5 | samples[0].level) + 1) * 0x9e3779b97f4a7c15u;
+    const double random = (double)((mixed ^ mixed >> 32) * 0xbf58476d1ce4e5b9u >> 11) * 0x1p-53;
+    *value = (uint8_t)fmin(floor(-255 * expm1(-sum * stored / (edge * edge * edge)) + random), 254);
 }
 
 static void gather_value(const gathering *g, uint64_t i, int kind, uint8_t *value)
@@ -86,7 +112,6 @@ static void gather_value(const gathering *g, uint64_t i, int kind, uint8_t *valu
         memset(value, 0, 4);
         svo_view_attribute(g->scene->assets[asset], g->short_bone[asset], b->attribute, value);
     }
-    if (kind == COVERAGE) value[0] = thinner_coverage(g, i, value[0]);
 }
 
 static svo_result gather_values(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
@@ -128,11 +153,6 @@ static svo_result find_values(const svo_unpose_options *o, gathering *g, svo_err
         g->values[c] = any[c] ? svo_alloc(a, count, svo_channel_stride(carried[c].kind)) : NULL;
         ok = !any[c] || g->values[c] != NULL || count == 0;
     }
-    if (ok && any[COVERAGE]) {
-        g->level = svo_alloc(a, count, 1);
-        ok = g->level != NULL || count == 0;
-        for (uint64_t i = 0; i < g->cells->count && ok; i++) g->level[g->cells->samples[i].value] = (uint8_t)g->cells->samples[i].level;
-    }
     return ok ? svo_parallel_for(o->select.threads, count, 0, gather_values, g, err) : no_memory(err);
 }
 
@@ -145,12 +165,12 @@ static void free_values(gathering *g, const svo_allocator *a)
     }
     svo_free(a, g->short_bone, g->scene->asset_count, sizeof *g->short_bone);
     svo_free(a, g->normals, count, 4);
-    svo_free(a, g->level, count, 1);
 }
 
-static svo_result build_octree(svo_resampled *r, const gathering *g, uint32_t threads, svo_unposed *u, svo_hierarchy_report *report, svo_error *err)
+static svo_result build_octree(svo_resampled *r, gathering *g, uint32_t threads, svo_unposed *u, svo_hierarchy_report *report, svo_error *err)
 {
     svo_hierarchy_input in = {.depth = r->depth, .sample_count = r->count, .samples = r->samples, .value_count = g->selection->count, .channel_count = 1};
+    svo_hierarchy_merge merge = {.merge = merge_coverage, .user = g};
     memcpy(in.voxel_to_world, r->voxel_to_world, sizeof in.voxel_to_world);
     in.channels[0] = (svo_channel){.name = "normal", .kind = SVO_KIND_NORMAL_OCT32};
     in.values[0] = g->normals;
@@ -159,6 +179,7 @@ static svo_result build_octree(svo_resampled *r, const gathering *g, uint32_t th
         svo_channel *to = &in.channels[in.channel_count];
         memcpy(to->name, carried[c].name, strlen(carried[c].name));
         to->kind = carried[c].kind;
+        if (c == COVERAGE) merge.channel = in.channel_count, in.merge = &merge;
         in.values[in.channel_count++] = g->values[c];
     }
     return svo_hierarchy_build(&in, threads, u->allocator, &u->octree, report, err);

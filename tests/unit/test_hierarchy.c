@@ -53,6 +53,15 @@ static void insert_all(const svo_sample *s, uint64_t count, uint32_t depth, int8
             if (grid[c] < 0 || grid[c] > (int8_t)s[i].level) grid[c] = (int8_t)s[i].level;
 }
 
+/* A channel that counts the samples of a cell and of finer ones inside it, and says where the cell is stored. */
+static void count_samples(void *user, const svo_sample *s, uint64_t count, uint32_t level, uint8_t *value)
+{
+    const uint64_t end = s[0].code + ((uint64_t)1 << 3 * (*(const uint32_t *)user - s[0].level));
+    for (uint64_t i = 1; i < count; i++) CHECK(s[i].code >= s[0].code && s[i].code < end);
+    CHECK(level >= s[0].level);
+    value[0] = (uint8_t)level, value[1] = (uint8_t)count, value[2] = (uint8_t)(count >> 8), value[3] = (uint8_t)s[0].level;
+}
+
 TEST(equals_insertion_one_by_one)
 {
     svo_error err = {0};
@@ -70,6 +79,8 @@ TEST(equals_insertion_one_by_one)
             svo_hierarchy_input in = {.depth = depth, .sample_count = count, .samples = s, .value_count = count, .channel_count = 1};
             in.channels[0] = (svo_channel){.name = "bone", .kind = SVO_KIND_ID32};
             in.values[0] = values;
+            svo_hierarchy_merge merge = {.channel = 1, .merge = count_samples, .user = &depth};
+            in.channel_count = 2, in.channels[1] = (svo_channel){.name = "material", .kind = SVO_KIND_ID32}, in.values[1] = values, in.merge = &merge;
             for (int k = 0; k < 4; k++) in.voxel_to_world[5 * k] = 1;
             svo_hierarchy *h;
             svo_hierarchy_report r;
@@ -92,6 +103,14 @@ TEST(equals_insertion_one_by_one)
                 CHECK(value < count);
                 CHECK_U64(copy[value].level, (uint64_t)grid[c]); /* the value is one of a sample of that level, there */
                 CHECK_U64(copy[value].code >> 3 * (depth - copy[value].level), c >> 3 * (depth - copy[value].level));
+                uint8_t merged[4];
+                uint32_t inside = 0;
+                const uint32_t level = copy[value].level;
+                svo_view_attribute(v, 1, index, merged);
+                for (uint32_t i = 0; i < count; i++) inside += copy[i].level >= level && copy[i].code >> 3 * (depth - level) == c >> 3 * (depth - level);
+                CHECK_U64(merged[3], level);
+                CHECK_U64(merged[1] + 256u * merged[2], inside);
+                CHECK_U64(merged[0], level == depth - 1 ? depth : level == 0 ? (depth == 2 ? 2 : 1) : level); /* (bricks hold finest voxels) */
             }
             CHECK_U64(v->nodes[depth], voxels);
             free(grid);
