@@ -48,7 +48,7 @@ bool svoi_outside(const svoi_look *l, const double low[3], const double high[3])
 {
     for (int p = 0; p < 4; p++) {
         double most = 0;
-        for (int k = 0; k < 3; k++) most += fmax(l->plane[p][k] * low[k], l->plane[p][k] * high[k]);
+        for (int k = 0; k < 3; k++) most += l->plane[p][k] * (l->plane[p][k] > 0 ? high[k] : low[k]);
         if (most < 0) return true;
     }
     return false;

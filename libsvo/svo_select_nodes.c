@@ -11,7 +11,10 @@
 static bool is_hidden(const svoi_selecting *s, const double low[3], const double high[3], const svoi_rect *r)
 {
     double shortest = INFINITY, longest = 0, l[3], h[3];
-    for (int k = 0; k < 3; k++) shortest = fmin(shortest, high[k] - low[k]), longest = fmax(longest, high[k] - low[k]);
+    for (int k = 0; k < 3; k++) {
+        const double side = high[k] - low[k];
+        shortest = side < shortest ? side : shortest, longest = side > longest ? side : longest;
+    }
     double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
     svoi_rect wide = *r;
     if (over > 0) {
@@ -27,7 +30,7 @@ static bool is_hidden(const svoi_selecting *s, const double low[3], const double
 static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size)
 {
     svoi_rect r = svoi_project(&s->look, low, high);
-    *size = fmax(r.x1 - r.x0, r.y1 - r.y0);
+    *size = r.x1 - r.x0 > r.y1 - r.y0 ? r.x1 - r.x0 : r.y1 - r.y0;
     if (s->o->frustum && (r.far <= 0 || svoi_outside(&s->look, low, high))) return SVOI_OUT_OF_SIGHT;
     if (s->o->occlusion && is_hidden(s, low, high, &r)) return SVOI_HIDDEN;
     return SVOI_SEEN;
@@ -147,7 +150,7 @@ void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double
 {
     const svo_scene_page *g = &s->scene->pages[page];
     for (int k = 0; k < 3; k++) {
-        double slack = 1e-9 * fmax(fabs(g->low[k]), fabs(g->high[k]));
+        const double a = fabs(g->low[k]), b = fabs(g->high[k]), slack = 1e-9 * (a > b ? a : b);
         low[k] = g->low[k] - s->origin[k] - slack, high[k] = g->high[k] - s->origin[k] + slack;
     }
 }
@@ -164,7 +167,7 @@ svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_vi
         if (!(fabs(low[k]) < 0.5 * FLT_MAX) || !(fabs(high[k]) < 0.5 * FLT_MAX)) return SVOI_OVERFLOW;
     svoi_page_box(s, p->page, from, to);
     for (int k = 0; k < 3; k++) {
-        low[k] = fmax(low[k], from[k]), high[k] = fmin(high[k], to[k]);
+        low[k] = low[k] > from[k] ? low[k] : from[k], high[k] = high[k] < to[k] ? high[k] : to[k];
         if (low[k] > high[k]) return SVOI_OUTSIDE;
     }
     svoi_sight seen = project(s, low, high, &size);

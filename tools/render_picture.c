@@ -129,13 +129,12 @@ static svo_result write_exr(fmt_output *out, const svo_render_planes *p, const s
     return fmt_exr_write(out, o->width, o->height, channels, PLANE_VALUES, err);
 }
 
-static svo_result draw_one(cli *c, const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, const char *path, svo_render_stats *stats,
-                           uint64_t *bytes, svo_error *err)
+static svo_result draw_one(cli *c, picture_source *s, const svo_render_options *o, const char *path, svo_render_stats *stats, uint64_t *bytes, svo_error *err)
 {
     const svo_allocator *a = o->allocator;
     uint64_t count = (uint64_t)o->width * o->height;
     bool exr = picture_is_exr(path);
-    if (exr && bvh == NULL) return svo_fail(err, SVO_UNSUPPORTED, "%s: --resample direct and mipmap draw .png only", path);
+    if (exr && s->bvh == NULL && s->make == NULL) return svo_fail(err, SVO_UNSUPPORTED, "%s: --resample direct and mipmap draw .png only", path);
     fmt_output *out = NULL;
     uint8_t *pixels = NULL;
     void *values = NULL;
@@ -146,11 +145,12 @@ static svo_result draw_one(cli *c, const svo_bvh *bvh, const svo_scene *scene, c
     if (exr) values = svo_alloc(a, count, 4 * PLANE_VALUES);
     if (pixels == NULL || (exr && values == NULL)) r = svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for a picture of %u x %u pixels", o->width, o->height);
     svo_render_planes planes = {.light = NULL};
+    if (r == SVO_OK && s->make != NULL) r = s->make(s->user, o, s, err);
     if (r == SVO_OK) {
         if (exr) planes = split(values, count);
         cli_phase(c, "render");
-        if (bvh == NULL) r = draw_direct(c, scene, o, boxes, pixels, stats, err);
-        else r = svo_render_with_planes(bvh, scene, o, pixels, exr ? &planes : NULL, stats, err);
+        if (s->bvh == NULL) r = draw_direct(c, s->scene, o, s->boxes, pixels, stats, err);
+        else r = svo_render_with_planes(s->bvh, s->scene, o, pixels, exr ? &planes : NULL, stats, err);
     }
     if (r == SVO_OK) {
         cli_phase(c, "write");
@@ -167,11 +167,11 @@ static svo_result draw_one(cli *c, const svo_bvh *bvh, const svo_scene *scene, c
     return r;
 }
 
-svo_result picture_draw(cli *c, const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, const char *path, const picture_frames *frames,
-                        svo_render_stats *stats, uint64_t *bytes, svo_error *err)
+svo_result picture_draw(cli *c, picture_source *s, const svo_render_options *o, const char *path, const picture_frames *frames, svo_render_stats *stats, uint64_t *bytes,
+                        svo_error *err)
 {
     *bytes = 0;
-    if (frames == NULL || frames->count == 0) return draw_one(c, bvh, scene, o, boxes, path, stats, bytes, err);
+    if (frames->count == 0) return draw_one(c, s, o, path, stats, bytes, err);
     size_t stem = strlen(path) - 4, size = strlen(path) + 16;
     char *name = svo_alloc(o->allocator, size, 1);
     if (name == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory");
@@ -182,7 +182,7 @@ svo_result picture_draw(cli *c, const svo_bvh *bvh, const svo_scene *scene, cons
         frame.eye = frames->eyes[i];
         frame.progress = NULL;
         snprintf(name, size, "%.*s_%04llu%s", (int)stem, path, (unsigned long long)i, path + stem);
-        r = draw_one(c, bvh, scene, &frame, boxes, name, stats, bytes, err);
+        r = draw_one(c, s, &frame, name, stats, bytes, err);
         if (r != SVO_OK) break;
         svo_render_add_stats(&sum, stats);
         cli_progress(c, "frames", (double)(i + 1) / (double)frames->count);

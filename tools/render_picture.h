@@ -21,9 +21,19 @@ svo_result picture_path(picture_frames *f, const char *path, svo_vec3 up, double
 bool picture_is_exr(const char *path);
 bool picture_is_png(const char *path);
 
-/* Render and write all frames: to `path`, or with frames != NULL to numbered files beside it (a.png: a_0000.png ...). Nothing appears
- * of a picture that fails. *stats sums up. bvh NULL: boxes of deformed voxels at least `boxes.delta` samples wide, without rays. */
-svo_result picture_draw(cli *c, const svo_bvh *bvh, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, const char *path, const picture_frames *frames,
-                        svo_render_stats *stats, uint64_t *bytes, svo_error *err);
+/* What is drawn. bvh NULL: boxes of deformed voxels at least `boxes.delta` samples wide, without rays. make != NULL: sets bvh and scene anew for the camera of each picture; what it made
+ * before is its own. */
+typedef struct picture_source {
+    const svo_bvh *bvh;
+    const svo_scene *scene;
+    direct_boxes boxes;
+    svo_result (*make)(void *user, const svo_render_options *o, struct picture_source *s, svo_error *err);
+    void *user;
+} picture_source;
+
+/* Render and write all frames: to `path`, or with frames that are not empty to numbered files beside it (a.png: a_0000.png ...). Nothing appears
+ * of a picture that fails. *stats sums up. */
+svo_result picture_draw(cli *c, picture_source *s, const svo_render_options *o, const char *path, const picture_frames *frames, svo_render_stats *stats, uint64_t *bytes,
+                        svo_error *err);
 
 #endif

@@ -224,38 +224,90 @@ static void report_picture(cli *c, const svo_render_options *o, const svo_render
 
 static void show_progress(void *user, double fraction) { cli_progress(user, "rendering", fraction); }
 
-/* A scene with poses to one without, for this picture; the camera is chosen on the way. */
-static svo_result unpose(cli *c, posing *p, const svo_scene **scene, svo_render_options *o, const svo_pose *stated, const float matrix[12], const char **camera, bool *direct,
-                         svo_error *err)
+/* A scene whose voxels are deformed for the camera of each picture. */
+typedef struct deforming {
+    cli *c;
+    const svo_scene *scene; /* with poses; NULL: it needs none of this */
+    bool everything;
+    int resample;
+    posing now; /* of the picture that is drawn */
+    svo_bvh *bvh;
+    svo_bvh_report report;
+    svo_rays_report form;
+} deforming;
+
+static svo_result use_rays(cli *c, svo_bvh *bvh, const svo_allocator *a, svo_rays_report *form, svo_error *err)
 {
-    *direct = false;
-    if (stated != NULL) SVO_TRY(pose_scene(p, scene, stated, matrix, o->allocator, err));
-    bool everything = ask.save_svo != NULL && !has_poses(*scene); /* the octree of a scene without poses is that of all of it */
-    if (!has_poses(*scene) && !everything && !draws_boxes(ask.resample)) return SVO_OK;
-    SVO_TRY(choose_camera(*scene, NULL, o, camera, err));
-    *direct = true;
-    svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = everything,
-                                 .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
-    const bool exr = picture_is_exr(c->output), octree = ask.save_svo != NULL || exr; /* these need more than boxes */
-    int resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
-    if (draws_boxes(resample))
-        return ask.save_svo == NULL ? SVO_OK : svo_fail(err, SVO_INVALID_ARGUMENT, "--resample %s makes no octree for --save-svo", resamples[resample]);
-    *direct = false;
-    return unpose_scene(p, c, scene, &select, o, resample, exr, ask.save_svo, err);
+    svo_rays_options fast = svo_default_rays_options();
+    fast.allocator = a;
+    if (c->memory != 0) fast.memory = c->memory / 8; /* its building takes some of that again */
+    cli_phase(c, "rays");
+    return svo_bvh_use_rays(bvh, &fast, form, err);
+}
+
+/* Does the scene need it? Chooses the camera then. */
+static svo_result find_deforming(cli *c, const svo_scene *scene, svo_render_options *o, deforming *d, const char **camera, svo_error *err)
+{
+    const bool everything = ask.save_svo != NULL && !has_poses(scene); /* the octree of a scene without poses is that of all of it */
+    *d = (deforming){.c = c, .everything = everything};
+    if (!has_poses(scene) && !everything && !draws_boxes(ask.resample)) return SVO_OK;
+    SVO_TRY(choose_camera(scene, NULL, o, camera, err));
+    const bool octree = ask.save_svo != NULL || picture_is_exr(c->output); /* these need more than boxes */
+    d->resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
+    if (ask.save_svo != NULL && draws_boxes(d->resample)) return svo_fail(err, SVO_INVALID_ARGUMENT, "--resample %s makes no octree for --save-svo", resamples[d->resample]);
+    d->scene = scene;
+    return SVO_OK;
+}
+
+static void end_picture(deforming *d)
+{
+    svo_bvh_free(d->bvh);
+    posing_close(&d->now);
+    d->bvh = NULL;
+    d->now = (posing){0};
+}
+
+/* Cells for one camera, and rays into them. */
+static svo_result deform_picture(void *user, const svo_render_options *o, picture_source *s, svo_error *err)
+{
+    deforming *d = user;
+    end_picture(d);
+    s->scene = d->scene;
+    const svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = d->everything,
+                                       .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
+    SVO_TRY(unpose_scene(&d->now, d->c, &s->scene, &select, o, d->resample, picture_is_exr(d->c->output), ask.save_svo, err));
+    cli_phase(d->c, "hierarchy");
+    SVO_TRY(svo_bvh_build(s->scene, o->threads, o->allocator, &d->c->warnings, &d->bvh, &d->report, err));
+    s->bvh = d->bvh;
+    return use_rays(d->c, d->bvh, o->allocator, &d->form, err);
+}
+
+/* Cameras of many pictures; none for one. */
+static svo_result find_frames(const svo_scene *scene, const svo_bvh *bvh, const svo_render_options *o, picture_frames *frames, svo_error *err)
+{
+    double low[3] = {0, 0, 0}, high[3] = {1, 1, 1};
+    if (ask.path != NULL) return picture_path(frames, ask.path, vec(ask.up), o->eye.yfov, o->allocator, err);
+    if (ask.turntable == 0) return SVO_OK;
+    if (bvh != NULL) svo_bvh_bounds(bvh, low, high);
+    else svo_scene_bounds(scene, low, high);
+    return picture_turntable(frames, &o->eye, svo_v3(0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]), vec(ask.up), ask.turntable,
+                             o->allocator, err);
 }
 
 static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err)
 {
     posing posed = {0};
+    deforming deformed = {0};
+    picture_source source = {.boxes = {ask.delta, ask.resample == RESAMPLE_MIPMAP}, .user = &deformed};
     const svo_scene *scene;
     input in;
     memset(&in, 0, sizeof in);
     svo_bvh *bvh = NULL;
     svo_bvh_report b;
+    svo_rays_report form;
     svo_render_stats stats;
     uint64_t bytes = 0;
     const char *camera = "";
-    bool direct = false;
     svo_result r = SVO_OK;
     picture_frames frames = {NULL, 0, 0};
     if (!picture_is_exr(c->output) && !picture_is_png(c->output)) return svo_fail(err, SVO_UNSUPPORTED, "%s: svo-render writes .png and .exr only", c->output);
@@ -268,35 +320,27 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
     cli_phase(c, "open");
     if ((r = cli_about(c->inputs[0], open_input(&in, c, a, err), err)) != SVO_OK) goto done;
     scene = in.opened.scene;
-    if ((r = unpose(c, &posed, &scene, o, stated, matrix, &camera, &direct, err)) != SVO_OK) goto done;
-    cli_phase(c, "hierarchy");
-    if (direct) b = (svo_bvh_report){.instances = scene->instance_count, .placed = scene->instance_count};
-    else if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
-    report_input(c, &in, &b);
-    if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
-    if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
-    if ((ask.turntable != 0 || ask.path != NULL) && (direct || scene != in.opened.scene)) {
-        r = svo_fail(err, SVO_UNSUPPORTED, "--turntable and --path draw scenes at rest: what is resampled for one camera is not right for another");
-        goto done;
-    }
-    svo_rays_options fast = svo_default_rays_options();
-    fast.allocator = a;
-    if (c->memory != 0) fast.memory = c->memory / 8; /* its building takes some of that again */
-    svo_rays_report form;
-    cli_phase(c, "rays");
-    if (!direct) {
-        if ((r = svo_bvh_use_rays(bvh, &fast, &form, err)) != SVO_OK) goto done;
+    if (stated != NULL && (r = pose_scene(&posed, &scene, stated, matrix, a, err)) != SVO_OK) goto done;
+    if ((r = find_deforming(c, scene, o, &deformed, &camera, err)) != SVO_OK) goto done;
+    b = (svo_bvh_report){.instances = scene->instance_count, .placed = scene->instance_count};
+    if (deformed.scene != NULL && !draws_boxes(deformed.resample)) source.make = deform_picture;
+    else if (deformed.scene == NULL) {
+        cli_phase(c, "hierarchy");
+        if ((r = svo_bvh_build(scene, (uint32_t)c->threads, a, &c->warnings, &bvh, &b, err)) != SVO_OK) goto done;
+        if (camera[0] == 0 && (r = choose_camera(scene, bvh, o, &camera, err)) != SVO_OK) goto done;
+        if ((r = use_rays(c, bvh, a, &form, err)) != SVO_OK) goto done;
         report_rays(c, &form);
     }
-    if (ask.turntable != 0) {
-        double low[3] = {0, 0, 0}, high[3] = {1, 1, 1};
-        svo_bvh_bounds(bvh, low, high);
-        r = picture_turntable(&frames, &o->eye, svo_v3(0.5 * low[0] + 0.5 * high[0], 0.5 * low[1] + 0.5 * high[1], 0.5 * low[2] + 0.5 * high[2]), vec(ask.up),
-                              ask.turntable, a, err);
-    } else if (ask.path != NULL) r = picture_path(&frames, ask.path, vec(ask.up), o->eye.yfov, a, err);
-    if (r == SVO_OK) r = picture_draw(c, bvh, scene, o, (direct_boxes){ask.delta, ask.resample == RESAMPLE_MIPMAP}, c->output, &frames, &stats, &bytes, err);
+    source.bvh = bvh, source.scene = scene;
+    if ((r = find_frames(scene, bvh, o, &frames, err)) != SVO_OK) goto done;
+    if ((r = picture_draw(c, &source, o, c->output, &frames, &stats, &bytes, err)) != SVO_OK) goto done;
+    if (source.make != NULL) { /* of the last picture */
+        b = deformed.report;
+        report_rays(c, &deformed.form);
+    }
+    report_input(c, &in, &b);
+    if (b.placed == 0) svo_warn(&c->warnings, "there is nothing to draw: the picture shows the background alone");
     cli_phase(c, NULL);
-    if (r != SVO_OK) goto done;
     report_picture(c, o, &stats, camera, bytes);
     cli_info(c, "%s: %u x %u, %.2f Mray primary at %.2f and %.2f Mray shadow at %.2f Mray/s a thread", c->output, o->width, o->height,
              1e-6 * (double)stats.primary, stats.primary_seconds > 0 ? 1e-6 * (double)stats.primary / stats.primary_seconds : 0,
@@ -305,6 +349,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
         r = svo_fail(err, SVO_INVALID_DATA, "%s is damaged: the picture lacks %llu instances", c->inputs[0], (unsigned long long)in.loss.instances);
 done:
     picture_frames_free(&frames, a);
+    end_picture(&deformed);
     svo_bvh_free(bvh);
     posing_close(&posed);
     close_input(&in);
@@ -325,6 +370,7 @@ int main(int argc, char **argv)
     if (c.output == NULL) return cli_usage(&c, "-o OUT.png is missing");
     if (ask.turntable != 0 && ask.path != NULL) return cli_usage(&c, "--turntable and --path are two ways to say the same: give one");
     if ((ask.turntable != 0 || ask.path != NULL) && strcmp(c.output, "-") == 0) return cli_usage(&c, "many pictures do not go to stdout");
+    if ((ask.turntable != 0 || ask.path != NULL) && ask.save_svo != NULL) return cli_usage(&c, "--save-svo writes the octree of one picture: no --turntable and --path with it");
     if (svo_length(vec(ask.up)) == 0 && ask.turntable != 0) return cli_usage(&c, "--turntable needs an axis: --up is 0,0,0");
     svo_pose stated;
     float matrix[12];

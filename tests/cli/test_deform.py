@@ -202,6 +202,24 @@ def test_threads_do_not_matter(folder):
         check(pictures[0] == pictures[1], options)
 
 
+def test_turntable_and_path_of_what_is_deformed(folder):
+    octree(folder, tall_box(folder / "box.obj"), 6)
+    row = [{"asset": "a", "translation": [1.5 * i, 0, 0], "pose": {"twist": {"degrees": 60 * i}}} for i in range(3)] + [{"asset": "a", "translation": [-2, 0, 1]}]
+    run("svo-pack", scene(folder, row), "-o", folder / "s.svscene", "-q")
+    cameras = [("4,3,5", "0,1,0"), ("-6,2,1", "1,0,0")]
+    (folder / "path.txt").write_text("".join("%s %s\n" % (e.replace(",", " "), t.replace(",", " ")) for e, t in cameras))
+    for end, options in (("png", ()), ("png", ("--no-shadows",)), ("png", ("--resample", "mipmap", "--no-shadows")), ("exr", ())):
+        run("svo-render", folder / "s.svscene", "-o", folder / ("f." + end), "-f", "-q", "--size", "96x64", "--path", folder / "path.txt", "--fov", 40, *options)
+        for i, (eye, target) in enumerate(cameras):  # each as it is alone
+            run("svo-render", folder / "s.svscene", "-o", folder / ("one." + end), "-f", "-q", "--size", "96x64", "--eye", eye, "--target", target, "--fov", 40, *options)
+            check((folder / ("f_%04d.%s" % (i, end))).read_bytes() == (folder / ("one." + end)).read_bytes(), (end, options, i))
+    run("svo-render", folder / "box.svdag", "-o", folder / "t.png", "-q", "--size", "96x64", "--deform", "twist=y:90", "--turntable", 3)
+    pictures = {(folder / ("t_%04d.png" % i)).read_bytes() for i in range(3)}
+    check(len(pictures) == 3 and not (folder / "t.png").exists(), "three different pictures")
+    r = tool("svo-render", folder / "s.svscene", "-o", folder / "n.png", "--turntable", 2, "--save-svo", folder / "n.svo")
+    check(r.code == 1 and not list(folder.glob("n*.png")), r)
+
+
 def test_budget_and_view_distance(folder):
     support.sphere_obj(folder / "ball.obj", 48)
     (folder / "s.json").write_text(json.dumps({"assets": [{"name": "a", "file": "ball.obj"}], "instances": [{"asset": "a"}]}))
