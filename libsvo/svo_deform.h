@@ -52,8 +52,8 @@ svo_vec3 svo_deform_normal(const svo_deform *d, uint32_t bone, svo_vec3 p, doubl
 svo_vec3 svo_deform_blended_point(const svo_deform *d, svo_bone_list list, svo_vec3 p);
 void svo_deform_blended_box(const svo_deform *d, svo_bone_list list, const double low[3], const double high[3], double out_low[3], double out_high[3]);
 svo_vec3 svo_deform_blended_normal(const svo_deform *d, svo_bone_list list, svo_vec3 p, double edge, svo_vec3 n);
-/* How much of a surface with that normal one of its voxels stands for, after the map: the voxel's volume over the thickness of a layer of them. `thin`: of a 6-separating surface.
- * n 0: the mean of the three axes. */
+/* How much of a surface one of its voxels stands for after the map, as an area in the target's units: the volume of a voxel at p with that edge (grid units) over the thickness of a layer of
+ * voxels around a surface with normal n (mesh coordinates), mapped as that area is. `thin`: of a 6-separating surface, else of a conservative one. n 0: the mean of the three axes. */
 double svo_deform_blended_area(const svo_deform *d, svo_bone_list list, svo_vec3 p, double edge, svo_vec3 n, bool thin);
 
 /* Bounds of an asset's voxels under a pose (NULL: none); false when they are not finite. Long twists and bends are cut into pieces, so that the bounds are within a few

@@ -189,19 +189,28 @@ INLINE __m256i misses_box(const group *g, __m256i box, bool lod)
     return _mm256_castps_si256(_mm256_cmp_ps(enter, leave, _CMP_GT_OQ));
 }
 
+/* The cells that lanes are in, of nodes whose cells have an edge of 2^s: number, the half of the node's mask that it is in, the bit there, and the cells before that half. */
+typedef struct cells { __m256i number, w, bit, lower; } cells;
+INLINE cells cells_at(__m256i qx, __m256i qy, __m256i qz, __m256i s, const __m256i node[4])
+{
+    const __m256i one = word(1), three = word(3);
+    const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(qx, s), three), y = _mm256_and_si256(_mm256_srlv_epi32(qy, s), three), z = _mm256_and_si256(_mm256_srlv_epi32(qz, s), three);
+    const __m256i number = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), upper = _mm256_cmpgt_epi32(z, one);
+    return (cells){number, choose(upper, node[1], node[0]), _mm256_sllv_epi32(one, _mm256_and_si256(number, word(31))), _mm256_and_si256(upper, node[0])};
+}
+
 /* A round in the parts of svo_rays_avx512.c. The cell, whether it is filled, and whether the ray misses what is in the node. */
 INLINE void look(group *g, const svo_rays *r, bool lod)
 {
-    const __m256i one = word(1), three = word(3), s = words(g->s);
+    const __m256i s = words(g->s);
     __m256i node[4];
     load_nodes(r->units, g->node, node);
-    const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[0]), s), three), y = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[1]), s), three), z = _mm256_and_si256(_mm256_srlv_epi32(words(g->q[2]), s), three);
-    const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, node[1], node[0]);
-    g->w = w;
+    const cells c = cells_at(words(g->q[0]), words(g->q[1]), words(g->q[2]), s, node);
+    g->w = c.w;
     g->child = node[2];
-    g->lower = _mm256_and_si256(upper, node[0]); /* cells before those of w */
-    g->block = _mm256_and_si256(_mm256_srlv_epi32(w, _mm256_and_si256(c, word(0x0a))), word(0x00330033));
-    g->bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
+    g->lower = c.lower;
+    g->block = _mm256_and_si256(_mm256_srlv_epi32(c.w, _mm256_and_si256(c.number, word(0x0a))), word(0x00330033));
+    g->bit = c.bit;
     g->missed = _mm256_andnot_si256(_mm256_cmpeq_epi32(s, word((int)r->fraction)), misses_box(g, node[3], lod));
 }
 
@@ -289,7 +298,7 @@ INLINE void step(group *g, const svo_rays *r)
 /* The way down to where rays begin, all levels with all lanes; see svo_rays_avx512.c. */
 INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch *b, uint32_t i, uint32_t count)
 {
-    const __m256i one = word(1), three = word(3), field = word(15);
+    const __m256i field = word(15);
     const __m256i q[3] = {any_words(&l->q[0][i]), any_words(&l->q[1][i]), any_words(&l->q[2][i])};
     __m256i down = _mm256_cmpgt_epi32(word((int)count), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7)), alone = down, positive[3];
     _Alignas(32) int32_t node[LANES] = {0};
@@ -306,7 +315,7 @@ INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch 
         limit = (pair){_mm256_add_pd(_mm256_mul_pd(spread.a, t.a), offset.a), _mm256_add_pd(_mm256_mul_pd(spread.b, t.b), offset.b)};
     }
     for (uint32_t level = r->levels - 1, s = SVOI_RAYS_BITS - 2; level > 0; level--, s -= 2) {
-        const __m128i shift = _mm_cvtsi32_si128((int)s), finer = _mm_cvtsi32_si128((int)s - 2);
+        const __m128i finer = _mm_cvtsi32_si128((int)s - 2);
         __m256i units[4];
         load_nodes(r->units, node, units);
         if (!lod && __builtin_popcount(bits(alone)) >= WORTH) {
@@ -332,14 +341,12 @@ INLINE void begin(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ray_batch 
             reach = _mm256_andnot_ps(_mm256_castsi256_ps(_mm256_and_si256(alone, missed)), reach);
             alone = _mm256_and_si256(alone, _mm256_castps_si256(_mm256_cmp_ps(reach, _mm256_mul_ps(leave_cell, _mm256_set1_ps(0.99999f)), _CMP_LE_OQ)));
         }
-        const __m256i x = _mm256_and_si256(_mm256_srl_epi32(q[0], shift), three), y = _mm256_and_si256(_mm256_srl_epi32(q[1], shift), three), z = _mm256_and_si256(_mm256_srl_epi32(q[2], shift), three);
-        const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
-        const __m256i upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, units[1], units[0]);
-        down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), _mm256_setzero_si256()), down);
+        const cells c = cells_at(q[0], q[1], q[2], word((int)s), units);
+        down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(c.w, c.bit), _mm256_setzero_si256()), down);
         if (lod) down = _mm256_andnot_si256(within(word((int)s), limit), down); /* one that is small enough may be a hit */
         alone = _mm256_and_si256(alone, down);
         if (bits(down) == 0) break;
-        const __m256i here = words(node), child = child_of(units[2], w, bit, _mm256_and_si256(upper, units[0]), word(level == 1 ? -1 : 0));
+        const __m256i here = words(node), child = child_of(units[2], c.w, c.bit, c.lower, word(level == 1 ? -1 : 0));
         put_any(&b->stack[level][i], here);
         put(node, choose(down, child, here));
         at = _mm256_sub_epi32(at, _mm256_and_si256(down, word(2)));
@@ -361,7 +368,7 @@ void svoi_rays_begin_avx2(const svo_rays *r, bool lod, svoi_ray_list *l, svoi_ra
 /* Rays that a packet has brought to a node where their cells are filled go down, as in `begin`. */
 static void sink(const svo_rays *r, svoi_ray_batch *b)
 {
-    const __m256i one = word(1), three = word(3), zero = _mm256_setzero_si256(), brick = word((int)r->fraction);
+    const __m256i zero = _mm256_setzero_si256(), brick = word((int)r->fraction);
     for (uint32_t i = 0; i < b->starts; i += LANES) {
         const svoi_ray_list *l = &b->start;
         const __m256i q[3] = {any_words(&l->q[0][i]), any_words(&l->q[1][i]), any_words(&l->q[2][i])};
@@ -372,11 +379,9 @@ static void sink(const svo_rays *r, svoi_ray_batch *b)
             __m256i units[4];
             put(places, _mm256_and_si256(down, node));
             load_nodes(r->units, places, units);
-            const __m256i x = _mm256_and_si256(_mm256_srlv_epi32(q[0], s), three), y = _mm256_and_si256(_mm256_srlv_epi32(q[1], s), three), z = _mm256_and_si256(_mm256_srlv_epi32(q[2], s), three);
-            const __m256i c = _mm256_or_si256(_mm256_or_si256(x, _mm256_slli_epi32(y, 2)), _mm256_slli_epi32(z, 4)), bit = _mm256_sllv_epi32(one, _mm256_and_si256(c, word(31)));
-            const __m256i upper = _mm256_cmpgt_epi32(z, one), w = choose(upper, units[1], units[0]);
-            down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(w, bit), zero), down);
-            const __m256i child = child_of(units[2], w, bit, _mm256_and_si256(upper, units[0]), _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
+            const cells c = cells_at(q[0], q[1], q[2], s, units);
+            down = _mm256_andnot_si256(_mm256_cmpeq_epi32(_mm256_and_si256(c.w, c.bit), zero), down);
+            const __m256i child = child_of(units[2], c.w, c.bit, c.lower, _mm256_cmpeq_epi32(s, word((int)r->fraction + 2)));
             for (uint32_t k = 1; k < r->levels; k++)
                 _mm256_maskstore_epi32(&b->stack[k][i], _mm256_and_si256(down, _mm256_cmpeq_epi32(s, word((int)(r->fraction + 2 * k)))), node);
             node = choose(down, child, node);

@@ -29,7 +29,7 @@ typedef struct svo_selected {
     uint32_t instance;
     uint8_t normal[4]; /* octahedral, scene; towards the eye where the asset has no normals or the map is flat */
     uint64_t attribute; /* of the node in its asset */
-    float area;         /* of the surface that it stands for (svo_deform_blended_area), where its asset covers a part only of what is behind it; else 0 */
+    float area;         /* of the surface that it stands for, scene units squared (svo_deform_blended_area), where its asset covers a part only of what is behind it; else 0 */
 } svo_selected;
 
 typedef struct svo_select_report {

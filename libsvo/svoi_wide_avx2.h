@@ -2,7 +2,7 @@
 #ifndef SVOI_WIDE_AVX2_H
 #define SVOI_WIDE_AVX2_H
 
-#include "svoi_ranks_avx2.h"
+#include "svoi_compress_avx2.h"
 
 typedef struct wide { __m256d v[4]; } wide;
 
@@ -85,9 +85,6 @@ INLINE void wide_fill(int32_t *to, int32_t x)
     for (int i = 0; i < 16; i += 8) _mm256_storeu_si256((__m256i *)(to + i), _mm256_set1_epi32(x));
 }
 
-/* The lanes `m` of four doubles, and of four words, from `to` on; up to four are written. */
-INLINE void keep_doubles(double *to, uint32_t m, __m256d x) { _mm256_storeu_pd(to, close_doubles(x, _mm256_load_si256((const __m256i *)double_ranks[m]))); }
-INLINE void keep_words(int32_t *to, uint32_t m, __m128i x) { _mm_storeu_si128((__m128i *)to, close_words(x, _mm_load_si128((const __m128i *)word_ranks[m]))); }
 INLINE __m128i four_words(const int32_t *p) { return _mm_loadu_si128((const __m128i *)p); }
 INLINE __m256d same(__m256d x, __m256d y) { return _mm256_cmp_pd(x, y, _CMP_LE_OQ); } /* x is nowhere below y */
 

@@ -46,15 +46,15 @@ size_t cli_common_options(cli *c, bool *help, bool *version, cli_option out[CLI_
 
 /* --- messages --- */
 
-/* Characters that a terminal obeys instead of showing: controls, and marks that turn the direction of what follows (U+061C, U+200E, U+200F, U+202A to U+202E, U+2066 to
- * U+2069), by which a name can look like another. */
+/* Characters that a terminal obeys instead of showing: controls, ends of lines (U+2028, U+2029), and marks that turn the direction of what follows (U+061C, U+200E, U+200F, U+202A to
+ * U+202E, U+2066 to U+2069), by which a name can look like another. */
 static bool unshown(const char *text, size_t n)
 {
     const unsigned char *c = (const unsigned char *)text;
     if (n == 1) return c[0] < 0x20 || c[0] == 0x7f;
     if (n == 2) return (c[0] == 0xc2 && c[1] < 0xa0) || (c[0] == 0xd8 && c[1] == 0x9c);
     if (n != 3 || c[0] != 0xe2) return false;
-    return c[1] == 0x80 ? c[2] == 0x8e || c[2] == 0x8f || (c[2] >= 0xaa && c[2] <= 0xae) : c[1] == 0x81 && c[2] >= 0xa6 && c[2] <= 0xa9;
+    return c[1] == 0x80 ? c[2] == 0x8e || c[2] == 0x8f || (c[2] >= 0xa8 && c[2] <= 0xae) : c[1] == 0x81 && c[2] >= 0xa6 && c[2] <= 0xa9;
 }
 
 void cli_write_plain(FILE *to, const char *text)

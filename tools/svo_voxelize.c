@@ -352,23 +352,17 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
     sources read = {0};
     job j = {0};
     json_t *inputs = json_array();
-    if (c->memory != 0 || o->temp != NULL) {
+    if (c->memory != 0) {
+        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
+        mallopt(M_MMAP_THRESHOLD, 1 << 17);
+        mallopt(M_TRIM_THRESHOLD, 1 << 17);
+        mallopt(M_ARENA_MAX, 1);
         fmt_spill_options s = {.folder = o->temp, .beside = c->output, .limit = o->temp_size};
         svo_result opened = fmt_spill_open(&s, &j.spill, err);
         if (opened != SVO_OK) {
             json_decref(inputs);
             return opened;
         }
-        if (c->memory == 0) { /* nothing spills; a folder that could not be used is refused all the same */
-            fmt_spill_close(j.spill);
-            j.spill = NULL;
-        }
-    }
-    if (c->memory != 0) {
-        /* Blocks go back to the system when they are freed, and no thread keeps a heap of its own: what is charged is what is resident. */
-        mallopt(M_MMAP_THRESHOLD, 1 << 17);
-        mallopt(M_TRIM_THRESHOLD, 1 << 17);
-        mallopt(M_ARENA_MAX, 1);
         if (fmt_spill_in_memory(j.spill)) svo_warn(&c->warnings, "temporary files in %s would lie in memory (tmpfs); choose a disk with --temp", fmt_spill_folder(j.spill));
     }
     read.beside = c->threads != 1 && c->memory == 0; /* within --memory what has been hashed is given back at once */
@@ -482,6 +476,13 @@ int main(int argc, char **argv)
     if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
     if ((code = cli_take_axes(&c, &o.axes)) >= 0) return code;
     svo_error err = {0};
+    if (o.temp != NULL && !o.key) { /* a folder that could not be used is refused also where nothing would be put there */
+        fmt_spill_options s = {.folder = o.temp, .beside = c.output};
+        fmt_spill *spill;
+        svo_result usable = fmt_spill_open(&s, &spill, &err);
+        if (usable != SVO_OK) return cli_end(&c, usable, &err);
+        fmt_spill_close(spill);
+    }
     if (o.raw != NULL || voxelize_is_cells(c.inputs[0])) {
         if (cli_axes_given(&o.axes)) return cli_usage(&c, "--up and --unit are for meshes and points; the format of voxels says both");
         if (c.input_count != 1 || (o.has_size && o.raw == NULL) || o.fill != 0 || o.surface != 0 || o.shard != NULL || o.dry_run)

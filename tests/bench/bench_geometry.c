@@ -22,6 +22,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "bench_median.h"
 #include "fmt_file.h"
 #include "fmt_svdag.h"
 #include "svo_dag.h"
@@ -200,17 +201,6 @@ static double ask(const svo_view *v, const questions *q, int kind, uint64_t firs
     return cast(v, &q->set[kind - 3], first, count, check);
 }
 
-static int compare_doubles(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-static double median(double *of, int n)
-{
-    qsort(of, (size_t)n, sizeof *of, compare_doubles);
-    return n % 2 != 0 ? of[n / 2] : 0.5 * (of[n / 2 - 1] + of[n / 2]);
-}
-
 /* Seconds a question of layout 1, and of each layout as a multiple of that. */
 static void measure_kind(const char *path, svo_packed *packed[LAYOUTS][2], const questions *q, int kind, int rounds, double *plain, double ratio[LAYOUTS])
 {
@@ -229,9 +219,9 @@ static void measure_kind(const char *path, svo_packed *packed[LAYOUTS][2], const
         if (check[l] != check[0]) fprintf(stderr, "%s: %s gives other answers (%d)\n", path, layout_names[l], kind), exit(1);
     for (int l = LAYOUTS; l-- > 0;) {
         for (int r = 0; r < rounds; r++) took[l][r] /= l == 0 ? 1 : took[0][r];
-        ratio[l] = l == 0 ? 1 : median(took[l], rounds);
+        ratio[l] = l == 0 ? 1 : bench_median(took[l], rounds);
     }
-    *plain = median(took[0], rounds);
+    *plain = bench_median(took[0], rounds);
 }
 
 static void make_questions(const svo_view *v, uint64_t queries, questions *q)

@@ -26,6 +26,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "bench_median.h"
 #include "fmt_file.h"
 #include "fmt_svdag.h"
 #include "svoi_best_encode.h"
@@ -285,18 +286,6 @@ static double ask(const readers *r, int step, uint64_t first, uint64_t count, ui
     return (double)(end.tv_sec - begin.tv_sec) + 1e-9 * (double)(end.tv_nsec - begin.tv_nsec);
 }
 
-static int compare_doubles(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double median(double *of, int n)
-{
-    qsort(of, (size_t)n, sizeof *of, compare_doubles);
-    return of[n / 2];
-}
-
 static void make_readers(const svo_view *v, readers *r)
 {
     svoi_symdag d = merged(v, SVOI_IDENTITY);
@@ -361,7 +350,7 @@ static void rates(const char *name, const svo_view *v, int rounds)
     for (int s = 0; s < STEPS; s++) {
         double ratio[MOST_ROUNDS], time[MOST_ROUNDS];
         for (int n = 0; n < rounds; n++) ratio[n] = took[s][n] / took[1][n], time[n] = took[s][n];
-        printf("%s,%u,%llu,%s,%.1f,%.3f\n", name, v->depth, (unsigned long long)v->nodes[v->depth], reader_names[s], 1e9 * median(time, rounds), median(ratio, rounds));
+        printf("%s,%u,%llu,%s,%.1f,%.3f\n", name, v->depth, (unsigned long long)v->nodes[v->depth], reader_names[s], 1e9 * bench_median(time, rounds), bench_median(ratio, rounds));
     }
     pointer_dag *pointers[] = {&r.offsets, &r.svdag, &r.mirrors, &r.symmetries};
     coded_view *views[] = {&r.inside, &r.classes, &r.counts, &r.tables};

@@ -203,7 +203,11 @@ def test_limit_of_temporary_files(folder):
     check(r.code == 6 and "5242880" in r.err, r)
     r = tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "9", "--memory", "20M", "--temp", folder / "nowhere")
     check(r.code == 2 and "nowhere" in r.err, r)
-    check(tool("svo-voxelize", mesh, "-o", folder / "a.svo", "--depth", "3", "--temp", folder / "nowhere").code == 2)  # also where nothing would be put there
+    (folder / "p.xyz").write_text("0 0 0\n1 1 1\n")
+    for name in (mesh, folder / "p.xyz"):  # also where nothing would be put there
+        r = tool("svo-voxelize", name, "-o", folder / "a.svo", "--depth", "3", "--temp", folder / "nowhere")
+        check(r.code == 2 and "nowhere" in r.err, r)
+        check(tool("svo-voxelize", name, "-o", folder / "a.svo", "-f", "--depth", "3", "--temp", folder).code == 0)
 
 
 def small_disk(folder, megabytes):

@@ -6,8 +6,8 @@ import os
 import support
 from support import check, run, tool
 
-HOSTILE = [b"esc\x1b]0;title\x07\x1b[31m", b"new\nline", b"tab\tstop", b"\xff\xfe", "c1\u009b31m".encode(), b"del\x7f", "turned\u202egpj\u2066\u200f\u061c".encode()]
-TURNING = {0x061C, 0x200E, 0x200F, *range(0x202A, 0x202F), *range(0x2066, 0x206A)}  # marks of direction
+HOSTILE = [b"esc\x1b]0;title\x07\x1b[31m", b"new\nline", b"tab\tstop", b"\xff\xfe", "c1\u009b31m".encode(), b"del\x7f", "turned\u202egpj\u2066\u200f\u061c".encode(), "line\u2028paragraph\u2029".encode()]
+TURNING = {0x061C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)}  # ends of lines and marks of direction
 
 
 def plain(r, name):

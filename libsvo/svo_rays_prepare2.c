@@ -7,7 +7,7 @@
 #include "svoi_rays.h"
 
 #ifdef SVOI_HAVE_AVX2
-#include "svoi_ranks_avx2.h"
+#include "svoi_compress_avx2.h"
 
 _Static_assert(sizeof(svo_ray) == 80 && offsetof(svo_ray, direction) == 24 && offsetof(svo_ray, t_min) == 48 && offsetof(svo_ray, t_max) == 56 && offsetof(svo_ray, spread) == 64 &&
                    offsetof(svo_ray, offset) == 72,
@@ -89,21 +89,16 @@ INLINE bool prepare(const svo_rays *r, bool lod, const svo_ray *rays, uint32_t c
         }
         meets &= ~doubt;
         b->unsure[i / 8] |= (uint8_t)(doubt << i % 8);
-        const __m256i ranks = _mm256_load_si256((const __m256i *)double_ranks[meets]);
-        const __m128i ranks_i = _mm_load_si128((const __m128i *)word_ranks[meets]);
         for (int k = 0; k < 3; k++) {
-            _mm256_storeu_pd(&b->in.o[k][kept], close_doubles(o[k], ranks));
-            _mm256_storeu_pd(&b->in.d[k][kept], close_doubles(d[k], ranks));
-            _mm256_storeu_pd(&b->in.inv[k][kept], close_doubles(inv[k], ranks));
-            _mm_storeu_si128((__m128i *)&b->in.q[k][kept], _mm_shuffle_epi8(q[k], ranks_i));
+            keep_doubles(&b->in.o[k][kept], meets, o[k]);
+            keep_doubles(&b->in.d[k][kept], meets, d[k]);
+            keep_doubles(&b->in.inv[k][kept], meets, inv[k]);
+            keep_words(&b->in.q[k][kept], meets, q[k]);
         }
-        if (lod) {
-            _mm256_storeu_pd(&b->in.spread[kept], close_doubles(_mm256_mul_pd(spread, scales), ranks));
-            _mm256_storeu_pd(&b->in.offset[kept], close_doubles(_mm256_mul_pd(offset, scales), ranks));
-        }
-        _mm256_storeu_pd(&b->in.t[kept], close_doubles(t, ranks));
-        _mm256_storeu_pd(&b->in.t_max[kept], close_doubles(t_max, ranks));
-        _mm_storeu_si128((__m128i *)&b->in.ray[kept], _mm_shuffle_epi8(number, ranks_i));
+        if (lod) keep_doubles(&b->in.spread[kept], meets, _mm256_mul_pd(spread, scales)), keep_doubles(&b->in.offset[kept], meets, _mm256_mul_pd(offset, scales));
+        keep_doubles(&b->in.t[kept], meets, t);
+        keep_doubles(&b->in.t_max[kept], meets, t_max);
+        keep_words(&b->in.ray[kept], meets, number);
         kept += (uint32_t)__builtin_popcount(meets);
     }
     b->count = kept;
