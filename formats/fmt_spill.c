@@ -16,6 +16,7 @@
 #include <sys/statvfs.h>
 #include <unistd.h>
 
+#include "fmt_container.h"
 #include "fmt_file.h"
 
 enum { LOOK_EVERY = 64 << 20 }; /* bytes between looks at the free space */
@@ -30,6 +31,7 @@ struct fmt_spill {
     pthread_mutex_t lock;
     fmt_spill_counts counts; /* under the lock, as is `looked` */
     uint64_t limit, reserve, files_now, looked;
+    fmt_zstd_pool *codec;
     char folder[PATH_MAX];
 };
 
@@ -266,6 +268,22 @@ static void spill_unmap(void *user, void *data, uint64_t size)
     munmap(data, (size_t)size);
 }
 
+static uint32_t spill_compress(void *user, const void *bytes, uint32_t size, void *to, uint32_t capacity)
+{
+    fmt_spill *s = user;
+    return (uint32_t)fmt_zstd_shrink(s->codec, bytes, size, 1, to, capacity);
+}
+
+static svo_result spill_decompress(void *user, const void *packed, uint32_t packed_size, void *bytes, uint32_t size, svo_error *err)
+{
+    fmt_spill *s = user;
+    svo_error why = {0};
+    svo_result r = fmt_zstd_decode_to(s->codec, packed, packed_size, bytes, size, &why);
+    if (r == SVO_OUT_OF_MEMORY) return svo_fail(err, r, "%s", why.message);
+    if (r != SVO_OK) return svo_fail(err, SVO_IO, "temporary files in %.150s: not what was written is read: %.200s", s->folder, why.message);
+    return SVO_OK;
+}
+
 static void spill_forget(void *user, void *data, uint64_t size)
 {
     (void)user;
@@ -292,12 +310,18 @@ svo_result fmt_spill_open(const fmt_spill_options *o, fmt_spill **out, svo_error
         free(s);
         return svo_fail(err, SVO_IO, "%.150s cannot hold temporary files: %s; choose another place (--temp)", folder, why);
     }
+    svo_result r = fmt_zstd_pool_new(&s->codec, err);
+    if (r != SVO_OK) {
+        free(s);
+        return r;
+    }
     memcpy(s->folder, folder, strlen(folder) + 1);
     s->limit = o->limit;
     s->reserve = o->reserve;
     s->looked = LOOK_EVERY; /* look at the first write */
     pthread_mutex_init(&s->lock, NULL);
-    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close, spill_map, spill_unmap, spill_forget, spill_fetch};
+    s->files = (svo_spill){s, spill_create, spill_write, spill_read, spill_discard, spill_close, spill_map, spill_unmap, spill_forget, spill_fetch,
+                           spill_compress, spill_decompress};
     *out = s;
     return SVO_OK;
 }
@@ -307,6 +331,7 @@ void fmt_spill_close(fmt_spill *s)
     if (s == NULL) return;
     SVO_ASSERT(s->files_now == 0);
     pthread_mutex_destroy(&s->lock);
+    fmt_zstd_pool_free(s->codec);
     free(s);
 }
 

@@ -89,6 +89,15 @@ svo_result fmt_zstd_encode(fmt_zstd_pool *p, const void *bytes, size_t size, int
     return SVO_OK;
 }
 
+size_t fmt_zstd_shrink(fmt_zstd_pool *p, const void *bytes, size_t size, int level, void *to, size_t capacity)
+{
+    ZSTD_CCtx *c = take_encoder(p);
+    if (c == NULL) return 0;
+    size_t n = ZSTD_compressCCtx(c, to, capacity, bytes, size, level);
+    give_encoder(p, c);
+    return ZSTD_isError(n) ? 0 : n;
+}
+
 /* Is it one frame of decoded_size bytes? Before memory is taken for them. */
 static svo_result check_frame(const uint8_t *b, size_t stored_size, uint64_t decoded_size, svo_error *err)
 {

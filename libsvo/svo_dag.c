@@ -331,7 +331,7 @@ static svo_result close_frame(svo_dag_builder *b, uint32_t level, svo_error *err
         uint8_t value[4];
         if (svoi_is_label(kind)) svoi_labels_value(f->labels[i].label, f->labels[i].count, kind, value);
         else svoi_sum_value(&f->sum[i], kind, value);
-        SVO_TRY(svoi_values_set(&b->values[i], f->index, value, err));
+        if (svoi_values_set(&b->values[i], f->index, value) != SVO_OK) return svoi_no_memory(b->packed, "attributes", err);
     }
     if (level == 0) {
         b->root = number;

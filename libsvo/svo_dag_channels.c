@@ -1,127 +1,10 @@
-/* Attribute streams: paged values, distinct values. */
+/* Distinct values of attribute streams. */
 #include <stdlib.h>
 #include <string.h>
 
 #include "svo_quantize.h"
 #include "svo_task.h"
 #include "svoi_dag.h"
-
-/* --- paged values --- */
-
-static uint64_t page_bytes(const svoi_values *v) { return (uint64_t)SVOI_PAGE * v->stride; }
-
-static void forget_page(svoi_values *v, uint64_t page)
-{
-    if (v->page[page] == NULL) return;
-    svo_free(v->a, v->page[page], SVOI_PAGE, v->stride);
-    v->page[page] = NULL;
-    if (v->store != NULL) v->store->resident -= page_bytes(v);
-}
-
-static svo_result spill_page(svoi_values *v, uint64_t page, svo_error *err)
-{
-    if (v->page[page] == NULL) return SVO_OK;
-    if (v->file.spill == NULL) SVO_TRY(svo_spill_open(v->store->spill, &v->file, err));
-    SVO_TRY(svo_spill_write(&v->file, page * page_bytes(v), v->page[page], page_bytes(v), err));
-    forget_page(v, page);
-    return SVO_OK;
-}
-
-svo_result svoi_values_spill(svoi_values *v, svo_error *err)
-{
-    if (v->store == NULL || v->store->spill == NULL) return SVO_OK;
-    for (uint64_t i = 0; i < v->page_count; i++) SVO_TRY(spill_page(v, i, err));
-    return SVO_OK;
-}
-
-static svo_result add_page(svoi_values *v, svo_error *err)
-{
-    if (v->page_count == v->page_capacity) {
-        uint64_t capacity = v->page_capacity + v->page_capacity / 2 + 8;
-        uint8_t **page = svo_alloc(v->a, capacity, sizeof *page);
-        if (page == NULL) return SVO_OUT_OF_MEMORY;
-        if (v->page_count != 0) memcpy(page, v->page, (size_t)v->page_count * sizeof *page);
-        svo_free(v->a, v->page, v->page_capacity, sizeof *page);
-        v->page = page;
-        v->page_capacity = capacity;
-    }
-    bool can_spill = v->store != NULL && v->store->spill != NULL;
-    if (can_spill && v->page_count != 0 && v->store->resident + page_bytes(v) > v->store->budget) SVO_TRY(spill_page(v, v->page_count - 1, err));
-    uint8_t *page = svo_alloc(v->a, SVOI_PAGE, v->stride);
-    if (page == NULL && can_spill) { /* others need memory as well: give all of it back */
-        SVO_TRY(svoi_values_spill(v, err));
-        page = svo_alloc(v->a, SVOI_PAGE, v->stride);
-    }
-    if (page == NULL) return SVO_OUT_OF_MEMORY;
-    v->page[v->page_count++] = page;
-    if (v->store != NULL) v->store->resident += page_bytes(v);
-    return SVO_OK;
-}
-
-static void look_at(svoi_values *v, const uint8_t *values, uint64_t count)
-{
-    if (!v->any) memcpy(v->first, values, v->stride);
-    v->any = true;
-    for (uint64_t i = 0; i < count && !v->varies; i++) v->varies = memcmp(values + i * v->stride, v->first, v->stride) != 0;
-}
-
-svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count, svo_error *err)
-{
-    if (values != NULL && count != 0) look_at(v, values, count);
-    while (count != 0) {
-        uint64_t at = v->count & (SVOI_PAGE - 1);
-        if (at == 0) SVO_TRY(add_page(v, err));
-        uint64_t n = SVOI_PAGE - at < count ? SVOI_PAGE - at : count;
-        uint8_t *to = v->page[v->page_count - 1] + at * v->stride;
-        if (values != NULL) {
-            memcpy(to, values, (size_t)n * v->stride);
-            values += n * v->stride;
-        } else {
-            memset(to, 0, (size_t)n * v->stride);
-        }
-        v->count += n;
-        count -= n;
-    }
-    return SVO_OK;
-}
-
-svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value, svo_error *err)
-{
-    look_at(v, value, 1);
-    uint8_t *page = v->page[i >> SVOI_PAGE_BITS];
-    if (page == NULL) return svo_spill_write(&v->file, i * v->stride, value, v->stride, err);
-    memcpy(page + (i & (SVOI_PAGE - 1)) * v->stride, value, v->stride);
-    return SVO_OK;
-}
-
-const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n, uint8_t *buffer, svo_error *err)
-{
-    const uint8_t *page = v->page[first >> SVOI_PAGE_BITS];
-    if (page != NULL) return page + (first & (SVOI_PAGE - 1)) * v->stride;
-    return svo_spill_read(&v->file, first * v->stride, buffer, n * v->stride, err) == SVO_OK ? buffer : NULL;
-}
-
-svo_result svoi_values_put(svoi_values *v, uint64_t first, uint64_t n, const uint8_t *values, svo_error *err)
-{
-    uint8_t *page = v->page[first >> SVOI_PAGE_BITS];
-    if (page == NULL) return svo_spill_write(&v->file, first * v->stride, values, n * v->stride, err);
-    memcpy(page + (first & (SVOI_PAGE - 1)) * v->stride, values, (size_t)n * v->stride);
-    return SVO_OK;
-}
-
-void svoi_values_drop(svoi_values *v, uint64_t page)
-{
-    if (v->page[page] != NULL) forget_page(v, page);
-    else svo_spill_discard(&v->file, page * page_bytes(v), page_bytes(v));
-}
-
-void svoi_values_free(svoi_values *v)
-{
-    for (uint64_t i = 0; i < v->page_count; i++) forget_page(v, i);
-    svo_free(v->a, v->page, v->page_capacity, sizeof *v->page);
-    svo_spill_close(&v->file);
-    *v = (svoi_values){.a = v->a, .stride = v->stride, .store = v->store};
-}
 
 /* --- distinct values --- */
 
@@ -272,7 +155,7 @@ static svo_result gather_page(gather *g, uint64_t page, uint8_t *buffer, uint8_t
     }
     if (g->mapping == NULL) return SVO_OK;
     g->errors[page] = e;
-    return g->mapping->write ? svoi_values_put(g->values, first, n, mapped, err) : SVO_OK;
+    return g->mapping->write ? svoi_values_put(g->values, page, mapped, err) : SVO_OK;
 }
 
 static svo_result gather_pages(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)

@@ -29,6 +29,10 @@ typedef struct svo_spill {
     void (*forget)(void *user, void *data, uint64_t size);
     /* Bytes of a mapping will be used soon; both are multiples of the size of a page. A hint; may be NULL. */
     void (*fetch)(void *user, void *data, uint64_t size);
+    /* Lossless compression of what is written, for callers that want less on the disk: returns the bytes put to `to`, at most `capacity`, or 0
+     * where they would be more (or memory is missing). decompress gives exactly `size` bytes, or fails with SVO_IO. Both NULL: not supported. */
+    uint32_t (*compress)(void *user, const void *bytes, uint32_t size, void *to, uint32_t capacity);
+    svo_result (*decompress)(void *user, const void *packed, uint32_t packed_size, void *bytes, uint32_t size, svo_error *err);
 } svo_spill;
 
 /* One file of a spill. Zero-initialised: not open, and closing it does nothing. */

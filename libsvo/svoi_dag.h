@@ -98,28 +98,40 @@ typedef struct svoi_store {
     uint64_t budget, resident;
 } svoi_store;
 
-/* All values of a channel, in pages, so that growing copies nothing. */
-enum { SVOI_PAGE_BITS = 16, SVOI_PAGE = 1 << SVOI_PAGE_BITS };
+/* All values of a channel, in pages, so that growing copies nothing. A page in the file is compressed unit by unit (a superblock each), so that one
+ * can be read without the others. */
+enum { SVOI_PAGE_BITS = 16, SVOI_PAGE = 1 << SVOI_PAGE_BITS, SVOI_PAGE_UNITS = SVOI_PAGE / SVO_SUPERBLOCK };
+typedef struct svoi_late svoi_late;
+typedef struct svoi_page {
+    uint8_t *data;   /* NULL: in the file */
+    uint64_t offset; /* there */
+    uint32_t late;   /* newest of its values that were set since: number in svoi_values.late + 1, 0: none */
+    uint16_t size[SVOI_PAGE_UNITS]; /* of the units in the file; where it is that of the values, they are stored as they are */
+} svoi_page;
 typedef struct svoi_values {
     const svo_allocator *a;
     uint32_t stride;
     uint64_t count;
-    uint8_t **page; /* NULL: in the file, at its number * SVOI_PAGE * stride */
+    svoi_page *page;
     uint64_t page_count, page_capacity;
+    svoi_late *late;
+    uint32_t late_count, late_capacity;
     svoi_store *store;
     svo_spill_file file;
-    bool any, varies;  /* of the values that were given: is there one, are there two different ones? */
+    uint64_t file_bytes; /* atomic: where the next page goes */
+    bool any, varies;    /* of the values that were given: is there one, are there two different ones? */
     uint8_t first[4];
 } svoi_values;
 /* `values` NULL appends zeros, to be replaced by svoi_values_set. SVO_OUT_OF_MEMORY without a message, or an error of the spill. */
 svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t count, svo_error *err);
-svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value, svo_error *err);
-/* All pages to the file, if there may be one. */
+/* SVO_OUT_OF_MEMORY without a message. */
+svo_result svoi_values_set(svoi_values *v, uint64_t i, const uint8_t *value);
+/* All pages to the file, if there may be one; nothing can be appended then. */
 svo_result svoi_values_spill(svoi_values *v, svo_error *err);
 /* `n` values of one page from number `first` on: in place, or read to `buffer` (n * stride bytes). NULL when that fails. Several threads may. */
 const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n, uint8_t *buffer, svo_error *err);
-/* Replace `n` values of one page; several threads may, on different pages. */
-svo_result svoi_values_put(svoi_values *v, uint64_t first, uint64_t n, const uint8_t *values, svo_error *err);
+/* Replace all values of a page; what `values` holds is lost. Several threads may, on different pages. */
+svo_result svoi_values_put(svoi_values *v, uint64_t page, uint8_t *values, svo_error *err);
 /* The page will not be needed again. */
 void svoi_values_drop(svoi_values *v, uint64_t page);
 void svoi_values_free(svoi_values *v);

@@ -115,7 +115,7 @@ def test_compress_in_bounded_memory(folder):
         check(report["peak_rss_bytes"] <= 1.5 * len(out) + limit + base, (memory, report["peak_rss_bytes"], len(out), base))
         spilled = max(spilled, report["memory"]["temporary_bytes"])
         check(not [f for f in os.listdir(folder) if f.startswith("svokit")], "temporary files are left")
-    check(spilled > 4 << 20, spilled)
+    check(spilled > 1 << 20, spilled)  # compressed: some 12 MB of values are held in 2.7
     for memory in (None, "48M", "24M"):  # without loss, what values become adds to what is held
         run("svo-compress", folder / "s.svo", "-o", folder / ("%s.svdag" % memory), "--threads", 2, "--temp", folder, "--report", folder / "r.json", *(["--memory", memory] if memory else []))
         size = (folder / ("%s.svdag" % memory)).stat().st_size
