@@ -51,7 +51,7 @@ typedef struct cli_option {
 
 typedef struct cli_tool {
     const char *name, *summary; /* "svo-dump", one sentence */
-    const char *synopsis;       /* after the name: "FILE [--json] ..." */
+    const char *synopsis;       /* after the name: "FILE [--json] ..."; a line for each way to call it */
     const cli_option *options;
     size_t option_count;
     const char *details; /* more paragraphs for the help, may be NULL; lines are wrapped, "\n" starts a new one */

@@ -46,7 +46,7 @@ static const cli_option options[] = {
 
 static const cli_tool tool = {
     .name = "svo-compare",
-    .summary = "compare two images, octrees, scenes or skeletons; exit 7 where they differ beyond tolerance",
+    .summary = "Compare two images, octrees, scenes or skeletons; exit 7 where they differ beyond tolerance.",
     .synopsis = "A B [--json] [--psnr DB] [--ssim S] [--max-diff N] [--deltaE X] [--deg X] [--value X] [--geometry-only]",
     .options = options,
     .option_count = sizeof options / sizeof *options,

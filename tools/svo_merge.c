@@ -145,7 +145,7 @@ int main(int argc, char **argv)
     cli_tool tool = {
         .name = "svo-merge",
         .summary = "Join the shards of a voxelization to one octree.",
-        .synopsis = "SHARD... -o OUT.svo [options]\n       svo-merge IN.svo -o OUT.svo --disk fast|small",
+        .synopsis = "SHARD... -o OUT.svo [options]\nIN.svo -o OUT.svo --disk fast|small",
         .options = options,
         .option_count = sizeof options / sizeof *options,
         .details = "Takes all the files that svo-voxelize --shard 1/N to N/N wrote, in any order, and writes the bytes that one run without --shard would have "

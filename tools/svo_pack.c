@@ -267,7 +267,8 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
         before = bytes;
     }
     json_object_set_new(cli_section(c, "output"), "budget_tried", tried);
-    if (!fits) return svo_fail(err, SVO_LIMIT, "the scene takes %llu bytes with single voxels for its meshes, more than --budget", (unsigned long long)bytes);
+    if (!fits) return svo_fail(err, SVO_LIMIT, "the scene takes up to %llu bytes with single voxels for its meshes, %u of them for its provenance: more than the %llu of --budget",
+                               (unsigned long long)bytes + META_ROOM, (unsigned)META_ROOM, (unsigned long long)budget);
     o->depth = best;
     cli_info(c, "depth %u for a budget of %llu bytes", best, (unsigned long long)budget);
     return SVO_OK;
@@ -320,7 +321,7 @@ int main(int argc, char **argv)
         {.name = "surface", .kind = CLI_CHOICE, .value = &o.surface, .choices = surfaces, .argument = "KIND", .help = "Voxels a surface marks.", .group = "Meshes"},
         {.name = "fill", .kind = CLI_CHOICE, .value = &o.fill, .choices = fills, .argument = "KIND", .help = "Voxels inside.", .group = "Meshes"},
         {.name = "color", .kind = CLI_TEXT, .value = &o.color, .argument = "lossless|BITS|deltaE=X|mean=X|psnr=X",
-         .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, or every one within X in CIE94.", .group = "Meshes and .svo files"},
+         .help = "Colours: as they are, at most 2^BITS (1 to 16) different ones, every one within X in CIE94, or few bytes at a mean CIE94 or a PSNR (with deltaE=X after a comma: every one within it).", .group = "Meshes and .svo files"},
         {.name = "normal", .kind = CLI_TEXT, .value = &o.normal, .argument = "lossless|BITS|deg=X",
          .help = "Normals: as they are, BITS in all (4 to 32, even), or every one within X degrees.", .group = "Meshes and .svo files"},
         {.name = "lod", .kind = CLI_CHOICE, .value = &o.lod, .choices = lods, .argument = "KIND", .help = "Which inner nodes have attributes; all: those of 2x2x2 and 4x4x4 voxels are worked out when they are asked for; stored: all are in the file.",
@@ -339,7 +340,7 @@ int main(int argc, char **argv)
         .synopsis = "SCENE -o OUT.svscene [--depth D]",
         .options = options,
         .option_count = sizeof options / sizeof options[0],
-        .details = "SCENE is a description in JSON (assets and instances of them), a glTF scene (its meshes become assets, its nodes and GPU\n"
+        .details = "SCENE is a description in JSON (assets and instances of them), a glTF scene (its meshes become assets, its nodes and GPU "
                    "instances become instances), any other mesh, a .svo or a .svdag. docs/tools/svo-pack.md has the JSON format.\n"
                    "Assets of a description are .svdag, .svo or mesh files in the description's folder or below it.",
         .example = "svo-pack city.json -o city.svscene --depth 11 --report city-report.json\nsvo-pack scene.glb -o scene.svscene",

@@ -20,6 +20,7 @@ import json
 import math
 import os
 import pathlib
+import re
 import shutil
 import struct
 import subprocess
@@ -97,6 +98,19 @@ def run(name, *args, **more):
 
 def have(name):
     return os.access(tools / name, os.X_OK)
+
+
+# options that every tool has; "output" where it writes something
+SHARED = {"output", "force", "threads", "memory", "report", "quiet", "verbose", "progress", "no-progress", "config", "no-config", "help", "version"}
+
+
+def tools_by_name():
+    return sorted(p.stem.replace("_", "-") for p in (source / "tools").glob("svo_*.c"))
+
+
+def options(name):
+    """(long name, letter or None) of each option in a tool's --help."""
+    return [(long, letter or None) for letter, long in re.findall(r"^  (?:-(\w), |    )--([A-Za-z0-9-]+)", run(name, "--help").text, re.M)]
 
 
 def report(path):

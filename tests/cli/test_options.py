@@ -1,39 +1,9 @@
-"""Every option of every tool's --help is used in a test of that tool, and those that all tools share by every tool."""
+"""The options that all tools share are used with every tool; some seldom used ones more closely than in test_each_option.py."""
 
 import json
-import re
 
 import support
-from support import check, run, tool
-
-SHARED = {"output", "force", "threads", "memory", "report", "quiet", "verbose", "progress", "no-progress", "config", "no-config", "help", "version"}
-
-
-def tools():
-    return sorted(p.stem.replace("_", "-") for p in (support.source / "tools").glob("svo_*.c"))
-
-
-def options(name):
-    """(long name, letter or None) of each option in --help."""
-    return [(long, letter or None) for letter, long in re.findall(r"^  (?:-(\w), |    )--([A-Za-z0-9-]+)", run(name, "--help").text, re.M)]
-
-
-def test_every_option_is_used(folder):
-    texts = [p.read_text() for p in sorted((support.source / "tests").rglob("*.py")) + sorted((support.source / "tests").rglob("*.sh"))]
-    missing, seen = [], 0
-    for name in tools():
-        about = [t for t in texts if name in t]
-        for long, letter in options(name):
-            seen += 1
-            if long in SHARED:
-                continue
-            used = any(re.search(r"[\"' ]--%s(?![\w-])" % re.escape(long), t) for t in about) or (letter and any(re.search(r"[\"' ]-%s(D?)[\"' ]" % letter, t) for t in about))
-            # svo-build takes the options of its steps as keys
-            if not used and not any(re.search(r"\"%s\":" % re.escape(long), t) for t in about if "svo-build" in t):
-                missing.append("%s --%s" % (name, long))
-    check(seen > 150, seen)
-    check(missing == [], "options that no test uses: " + ", ".join(missing))
-
+from support import SHARED, check, options, run, tool, tools_by_name
 
 def commands(folder):
     """A small run of each tool."""
@@ -76,13 +46,13 @@ def test_shared_options(folder):
         wrong = tool(name, "--no-such-option")
         check(wrong.code == 1 and "--help" in wrong.err, wrong)
         done.add(name)
-    check(done == set(tools()), "a tool without a run: %s" % (set(tools()) - done))
+    check(done == set(tools_by_name()), "a tool without a run: %s" % (set(tools_by_name()) - done))
 
 
 def test_seldom_used(folder):
-    """Options that no other test needs."""
+    """What options that hardly any other test needs do."""
     made = {name: out for name, args, out in commands(folder) if run(name, *args, *(["-o", folder / out] if out else []))}
-    check(len(made) == len(tools()), made)
+    check(len(made) == len(tools_by_name()), made)
     sphere = folder / "s.obj"
     joints = {}
     for extra in ([], ["--delta", 0.05], ["--method", "literal"], ["--normalize", "box"], ["--place", "centroid"], ["--place", "contracted"]):
