@@ -12,6 +12,7 @@ import time
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import support
+from schedulers import Slurm, in_folder
 from support import check, run, tool
 
 
@@ -347,6 +348,29 @@ def test_emit_ninja(folder):
     (work / "x y.mtl").write_text("newmtl m\nKd 1 0 0\n")
     ninja()
     check(outputs(work) == wanted)
+
+
+def test_emitted_job_array_in_slurm(folder):
+    """A damaged model among others: its task alone fails, and the scene follows when the array has ended."""
+    work, path, wanted = emit_folder(folder, "work")
+    (work / "bad.obj").write_text("v 1 2 x\n")
+    (work / "scene.json").write_text(json.dumps({"assets": [{"name": "a", "file": "out/a0.svdag"}], "instances": [{"asset": "a"}]}))
+    assets = json.loads(path.read_text())["assets"]
+    path = manifest(work, assets[:1] + [{"name": "bad", "input": "bad.obj"}] + assets[1:], scenes=[{"name": "scene", "file": "scene.json"}])
+    (work / "job.sh").write_bytes(run("svo-build", path, "--emit", "slurm").out)
+    slurm = Slurm(folder / "slurm")
+    try:
+        slurm.skip_unless_idle()
+        job = in_folder(["sbatch", "--parsable", "job.sh"], work, env=slurm.env).strip()
+        in_folder(["sbatch", "--array=0", "--dependency=afterany:" + job, "job.sh", "scenes"], work, env=slurm.env)
+        slurm.wait_for_jobs(60)
+    finally:
+        slurm.close()
+    talk = "".join(p.read_text(errors="replace") for p in sorted(work.glob("svo-build-*.log")))
+    made = outputs(work)
+    check(made.pop("scene.svscene", b"")[:4] != b"" and made == wanted, (sorted(made), talk))
+    check("bad.obj" in talk and not list((work / "out").glob("bad*")), talk)
+    run("svo-dump", "--validate", work / "out/scene.svscene")
 
 
 def test_bad_manifests(folder):
