@@ -66,10 +66,41 @@ static void command(emitter *e, const build_step *s, const build_options *o)
     build_arguments_free(a);
 }
 
+static int by_text(const void *a, const void *b) { return strcmp(*(char *const *)a, *(char *const *)b); }
+
+/* Files that no step makes are named as such: Ninja builds nothing at all where one of them is missing, otherwise; so its asset alone fails. */
+static void ninja_sources(emitter *e, const build_plan *p)
+{
+    size_t count = 0, made = 0;
+    for (uint32_t i = 0; i < p->count; i++) count += p->steps[i].input_count;
+    char **inputs = malloc((count + 1) * sizeof *inputs), **outputs = malloc(((size_t)p->count + 1) * sizeof *outputs);
+    if (inputs == NULL || outputs == NULL) {
+        if (e->result == SVO_OK) e->result = svo_fail(e->err, SVO_OUT_OF_MEMORY, "out of memory");
+        count = 0;
+    }
+    for (uint32_t i = 0, n = 0; i < p->count && count != 0; i++) {
+        outputs[made++] = p->steps[i].output;
+        for (uint32_t k = 0; k < p->steps[i].input_count; k++) inputs[n++] = p->steps[i].inputs[k];
+    }
+    if (count != 0) {
+        qsort(inputs, count, sizeof *inputs, by_text);
+        qsort(outputs, made, sizeof *outputs, by_text);
+    }
+    for (size_t i = 0; i < count; i++) {
+        if ((i != 0 && strcmp(inputs[i], inputs[i - 1]) == 0) || bsearch(&inputs[i], outputs, made, sizeof *outputs, by_text) != NULL) continue;
+        put(e, "build ");
+        ninja_path(e, inputs[i]);
+        put(e, ": phony\n");
+    }
+    free(inputs);
+    free(outputs);
+}
+
 static void emit_ninja(emitter *e, const build_plan *p, const build_options *o)
 {
     put(e, "# Made by svo-build --emit ninja. Run in the folder where that ran.\nninja_required_version = 1.7\nrule run\n  command = $cmd\n  description = $what\n"
            "rule run_with_depfile\n  command = $cmd\n  description = $what\n  depfile = $dep\n  deps = gcc\n");
+    ninja_sources(e, p);
     for (uint32_t i = 0; i < p->count; i++) {
         const build_step *s = &p->steps[i];
         put(e, "build ");
@@ -97,11 +128,15 @@ static void emit_ninja(emitter *e, const build_plan *p, const build_options *o)
 
 static void emit_sh(emitter *e, const build_plan *p, const build_options *o)
 {
-    put(e, "#!/bin/sh\n# Made by svo-build --emit sh: a command a line, in an order that works. Goes on after failures; ends with the number of them, at most 100.\nfailed=0\nmkdir -p ");
+    put(e, "#!/bin/sh\n# Made by svo-build --emit sh: a line an asset, then the scenes. Goes on after failures; ends with the number of lines that failed, at most 100.\nfailed=0\nmkdir -p ");
     quote(e, p->work);
     put(e, "\n");
     for (uint32_t i = 0; i < p->count; i++) {
         command(e, &p->steps[i], o);
+        if (p->steps[i].kind == BUILD_VOXELIZE && i + 1 < p->count && p->steps[i + 1].kind == BUILD_COMPRESS) {
+            put(e, " && ");
+            command(e, &p->steps[++i], o);
+        }
         put(e, " || failed=$((failed + 1))\n");
     }
     put(e, "[ \"$failed\" -le 100 ] || failed=100\nexit \"$failed\"\n");

@@ -331,7 +331,11 @@ def test_emit_sh_and_slurm(folder):
     check(subprocess.run(["sh", str(work / "job.sh")], env=dict(os.environ, SLURM_ARRAY_TASK_ID="3"), stderr=subprocess.DEVNULL, timeout=120).returncode == 1)
     check(outputs(work) == wanted, "slurm makes other files")
     (work / "m0.obj").write_text("v 1 2 x\n")
-    check(subprocess.run(["sh", str(work / "run.sh")], stderr=subprocess.DEVNULL, timeout=120).returncode == 1, "the script hides a failure")
+    (work / "x y.obj").unlink()
+    shutil.rmtree(work / "out")
+    r = subprocess.run(["sh", str(work / "run.sh")], stderr=subprocess.PIPE, timeout=120)
+    check(r.returncode == 2 and r.stderr.count(b"error:") == 2, "not a failure an asset: %r" % r.stderr)
+    check(outputs(work) == {n: wanted[n] for n in wanted if n.startswith("a1.")}, "other assets than the sound ones")
 
 
 def test_emit_ninja(folder):
@@ -348,6 +352,14 @@ def test_emit_ninja(folder):
     (work / "x y.mtl").write_text("newmtl m\nKd 1 0 0\n")
     ninja()
     check(outputs(work) == wanted)
+    # a missing input and a damaged one: the other asset is built all the same
+    (work / "m0.obj").write_text("v 1 2 x\n")
+    (work / "x y.obj").unlink()
+    shutil.rmtree(work / "out")
+    (work / ".ninja_log").unlink(missing_ok=True)
+    r = subprocess.run(["ninja", "-k", "0", "-f", str(work / "build.ninja")], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=folder, timeout=120)
+    check(r.returncode == 1 and r.stdout.count(b"FAILED") == 2 and outputs(work) == {n: wanted[n] for n in wanted if n.startswith("a1.")}, r.stdout)
+    check(b"x y.obj" in r.stdout and b"m0.obj" in r.stdout, r.stdout)
 
 
 def test_emitted_job_array_in_slurm(folder):

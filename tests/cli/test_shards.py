@@ -11,7 +11,7 @@ import time
 
 import support
 from schedulers import Slurm, in_folder, program, with_tools
-from support import check, model, report, run, skip, source, tool, tools
+from support import check, model, report, run, source, tool, tools
 
 
 def bumpy(path, rings=40, size=3.0):
