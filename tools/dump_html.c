@@ -266,6 +266,7 @@ typedef struct page {
     const svo_scene *scene;
     double origin[3];
     uint32_t deepest, level; /* level: the finest that is on the page */
+    bool crowded;            /* the level below it has more nodes than can be drawn, whatever their bytes */
     json_t *assets;
     packer data;
 } page;
@@ -286,6 +287,7 @@ static svo_result fill(page *p, uint64_t room, svo_error *err)
         r = asset_make(&a, p->scene->assets[i], p->level, &budget, p->job->allocator, err);
         nodes += a.nodes;
         if (r == SVO_OK && nodes > TOTAL_LIMIT) r = SVO_CANCELLED;
+        p->crowded = r == SVO_CANCELLED && (a.nodes == NODE_LIMIT || nodes > TOTAL_LIMIT);
         if (r == SVO_OK) r = squeeze_asset(&p->data, &a, err);
         if (r == SVO_OK) json_array_append_new(p->assets, asset_json(&a, p->scene->asset_names[i]));
         asset_free(&a);
@@ -313,6 +315,14 @@ static json_t *camera_json(const svo_scene *s)
                      s->camera_yfov * (180 / 3.14159265358979323846));
 }
 
+/* How many are not as they would be with their pose: the page draws assets as they are. */
+static uint64_t posed_instances(const svo_scene *s)
+{
+    uint64_t n = 0;
+    for (uint64_t i = 0; i < s->instance_count; i++) n += svo_scene_instance_pose(s, i) != NULL;
+    return n;
+}
+
 static json_t *meta_json(const page *p)
 {
     static const char *const leave_out[] = {"instances", "pages", "assets", "listed_in_full"};
@@ -333,6 +343,7 @@ static json_t *meta_json(const page *p)
     json_object_set_new(o, "instance_names", names);
     json_object_set_new(o, "camera", camera_json(s));
     cli_put_u64(o, "dropped_levels", p->deepest - p->level);
+    cli_put_u64(o, "posed", posed_instances(s));
     json_object_set_new(o, "summary", summary);
     return o;
 }
@@ -416,7 +427,9 @@ static svo_result choose_level(page *p, uint64_t page_size, svo_error *err)
     json_decref(meta);
     for (p->level = p->deepest; fixed < page_size; p->level--) {
         cli_progress(p->job->c, "packing the page", -1);
+        const bool crowded = p->crowded;
         svo_result r = fill(p, (page_size - fixed) / 4 * 3, err);
+        if (r == SVO_OK) p->crowded = crowded;
         if (r != SVO_CANCELLED) return r;
         if (p->level == 0) break;
     }
@@ -434,15 +447,22 @@ static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, 
     for (uint32_t i = 0; i < scene->asset_count; i++)
         if (scene->assets[i]->tree_depth > p.deepest) p.deepest = scene->assets[i]->tree_depth;
     svo_result r = choose_level(&p, j->html_size, err);
-    if (r == SVO_OK && p.level < p.deepest)
+    if (r == SVO_OK && p.level < p.deepest && p.crowded)
+        cli_info(j->c, "%s: shows level %u of %u; with level %u it would have more nodes than a page draws (%d an octree, %d in all)", j->html, p.level, p.deepest, p.level + 1,
+                 NODE_LIMIT, TOTAL_LIMIT);
+    else if (r == SVO_OK && p.level < p.deepest)
         cli_info(j->c, "%s: shows level %u of %u, so that the page stays under %llu bytes (--html-size)", j->html, p.level, p.deepest,
                  (unsigned long long)j->html_size);
+    if (r == SVO_OK && posed_instances(scene) != 0)
+        cli_info(j->c, "%s: %llu instances are drawn without their pose (svo-render draws it, and --save-svo makes an octree of it)", j->html,
+                 (unsigned long long)posed_instances(scene));
     if (r == SVO_OK) r = write_page(o, &p, err);
     if (r == SVO_OK) {
         json_t *html = json_object();
         cli_put_u64(html, "bytes", fmt_output_offset(o));
         cli_put_u64(html, "level", p.level);
         cli_put_u64(html, "levels_left_out", p.deepest - p.level);
+        cli_put_u64(html, "posed_instances", posed_instances(scene));
         json_object_set_new(cli_section(j->c, "output"), "html", html);
     }
     json_decref(p.assets);

@@ -7,6 +7,7 @@ import sys
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import browser
+import rig
 import support
 from support import check, run, tool
 
@@ -254,6 +255,28 @@ def test_size(folder):
         shot = show(p, folder, "small.png")
         check(0.2 < share_that_differs(shot, [[row[0]] * WIDTH for row in shot]) < 0.6)
         check(p.problems == [], p.problems)
+
+
+def test_poses_are_told_of(folder):
+    """The page draws assets without their pose, and says so in every place where one looks."""
+    rig.arm(folder / "arm.gltf")
+    run("svo-pack", folder / "arm.gltf", "-o", folder / "arm.svscene", "--depth", 5, "--time", 0.5)
+    r = run("svo-dump", folder / "arm.svscene", "--html", folder / "arm.html", "--report", folder / "r.json")
+    check("without their pose" in r.err and support.report(folder / "r.json")["output"]["html"]["posed_instances"] == 1, r)
+    with browser.open_page(folder / "arm.html", WIDTH, HEIGHT) as p:
+        show(p, folder, "arm.png")
+        check("1 instance is shown without pose" in p.evaluate("document.getElementById('facts').textContent"), p.evaluate("document.getElementById('facts').textContent")[:600])
+        check(p.problems == [], p.problems)
+    check("pose" not in run("svo-dump", cube(folder, 4), "--html", folder / "c.html").err)
+
+
+def test_more_nodes_than_can_be_drawn(folder):
+    """A page draws 2^24 nodes of an octree: the level above is shown, and the message does not blame --html-size."""
+    support.sphere_obj(folder / "s.obj", 64)
+    run("svo-voxelize", folder / "s.obj", "-o", folder / "s.svo", "--depth", 11, "--attributes", "none")
+    r = run("svo-dump", folder / "s.svo", "--html", folder / "s.html", "--html-size", "1G", "--report", folder / "r.json")
+    check("level 10 of 11" in r.err and "nodes" in r.err and "--html-size" not in r.err, r)
+    check(support.report(folder / "r.json")["output"]["html"]["levels_left_out"] == 1)
 
 
 def test_same_bytes_and_refusals(folder):

@@ -464,6 +464,7 @@ function table(title, rows) {
             const c = r.insertCell();
             c.textContent = number(v);
             if (typeof v === "number") c.className = "n";
+            else if (c.cellIndex === 0 && c.textContent.length <= 16) c.className = "name";
         });
     }
     element("facts").append(h, t);
@@ -476,6 +477,7 @@ function panel() {
     if (s.bytes_per_voxel) rows.push(["bytes a voxel", s.bytes_per_voxel]);
     if (meta.instance_count > 1) rows.push(["instances", meta.instance_count], ["assets", meta.assets.length]);
     if (meta.dropped_levels > 0) rows.push(["shown", "to level " + deepest + " of " + s.depth + ", " + meta.dropped_levels + " finest left out to keep the page small"]);
+    if (meta.posed > 0) rows.push(["poses", "not drawn: " + meta.posed + (meta.posed === 1 ? " instance is" : " instances are") + " shown without pose"]);
     table("File", rows);
     table("Attributes", (s.attributes || []).map(a => [a.name, a.encoding || a.kind || "", a.bytes !== undefined ? a.bytes : ""]));
     table("Levels", (s.levels || []).map(l => [l.level, l.nodes].concat(l.stored !== undefined ? [l.stored] : [])));
