@@ -3,8 +3,9 @@
  *
  * A "turn" g = 8 p + f maps octants to octants: it permutes the axes by p (0..5) and then mirrors the axes whose bits are
  * set in f (0..7). Turn 0 is the identity, turns 0..7 are the mirrors, and a brick of 4x4x4 voxels is turned by doing the
- * same to its octants and to the voxels inside them. A reference (number, turn) means: the cell that is octant s of the
- * stored node is octant turn(s) of the subtree referred to. */
+ * same to its octants and to the voxels inside them. A reference (number, turn) means the stored subtree `number`, turned: what
+ * is octant s of the stored node is octant turn(s) of the subtree that is meant. Layout 3 stores these turns; layout 2 their inverses, from
+ * the frame of the node that refers to that of the stored one (docs/format/svdag.md, "Turns"). */
 #ifndef SVOI_SYMMETRY_H
 #define SVOI_SYMMETRY_H
 
