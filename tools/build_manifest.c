@@ -253,6 +253,10 @@ svo_result build_plan_read(const char *path, build_plan *out, svo_error *err)
     json_error_t where;
     memset(out, 0, sizeof *out);
     SVO_TRY(fmt_bytes_open(path, MANIFEST_BYTES, NULL, &b, err));
+    if (b.size == 0) { /* which the parser calls wrong arguments */
+        fmt_bytes_close(&b);
+        return svo_fail(err, SVO_INVALID_DATA, "the file is empty");
+    }
     out->manifest = json_loadb((const char *)b.data, b.size, JSON_REJECT_DUPLICATES, &where);
     fmt_bytes_close(&b);
     if (out->manifest == NULL) return svo_fail(err, SVO_INVALID_DATA, "line %d, column %d: %.120s", where.line, where.column, where.text);

@@ -386,7 +386,7 @@ def test_emitted_job_array_in_slurm(folder):
 
 
 def test_bad_manifests(folder):
-    for text, word in ((b"{", "line 1"), (b"[]", "object"), (b'{"assets": 1}', "list"), (b'{"assets": [], "x": 1}', "unknown key"), (b'{"assets": [{"name": "a"}]}', "input"),
+    for text, word in ((b"", "the file is empty"), (b"{", "line 1"), (b"[]", "object"), (b'{"assets": 1}', "list"), (b'{"assets": [], "x": 1}', "unknown key"), (b'{"assets": [{"name": "a"}]}', "input"),
                        (b'{"assets": [{"name": "../a", "input": "x"}]}', "no name"), (b'{"assets": [{"name": "a", "input": "x", "voxelize": {"output": "y"}}]}', "itself"),
                        (b'{"assets": [{"name": "a", "input": "x"}, {"name": "a", "input": "y"}]}', "differ"), (b'{"assets": [{"name": "a", "input": []}]}', "no input"),
                        (b'{"assets": [{"name": "a", "input": "x", "memory": "lots"}]}', "memory"), (b'{"assets": [{"name": "a", "input": "x", "compress": true}]}', "object of options"),
