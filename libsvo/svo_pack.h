@@ -75,7 +75,7 @@ void svo_packed_scene_free(svo_packed_scene *p);
  * the first; the names that are left are shared. Instances are split by a k-d tree into pages of at most page_instances
  * (all full but the last of a split), in the order of the input inside a page. The result depends on the input only, not
  * on threads. A transform that is not finite, or whose image overflows single precision, is SVO_INVALID_DATA (err->index =
- * the place); a name table beyond 4 GiB is SVO_LIMIT. Memory: about 100 bytes an instance besides the result's 64. */
+ * the place); where that is so by the size of an asset alone, or a name table is beyond 4 GiB, it is SVO_LIMIT. Memory: about 100 bytes an instance besides the result's 64. */
 svo_result svo_pack(const svo_pack_input *input, const svo_pack_options *options, svo_packed_scene **out, svo_error *err);
 
 #ifdef __cplusplus

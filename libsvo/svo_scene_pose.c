@@ -147,6 +147,8 @@ static svo_result pose_assets(svo_posed_scene *p, const svo_pose *stated, const 
         svo_mat4 grid;
         memcpy(grid.m, s->assets[i]->voxel_to_world, sizeof grid.m);
         svo_box_transform(&grid, extents[i].low, extents[i].high, 0, low, high);
+        for (int k = 0; k < 3; k++)
+            if (!isfinite((float)low[k]) || !isfinite((float)high[k])) return svo_fail(err, SVO_LIMIT, "asset %u is too large to be deformed in single precision (3.4e38)", i);
         p->pose[i] = *stated;
         svo_pose_resolve(&p->pose[i], low, high);
         const char *fault = svo_pose_fault(&p->scene.poses, &p->pose[i]);

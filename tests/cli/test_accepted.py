@@ -8,6 +8,7 @@ through every tool that reads their kind. Refused they may be for what is not su
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 
@@ -120,6 +121,14 @@ def test_octrees(folder):
 
 def test_packed_octrees(folder):
     over(folder, mutants(folder, ".svdag"), COPIES // 4)
+
+
+def test_octrees_that_were_findings(folder):
+    """Sound files that a tool once refused as invalid."""
+    found = sorted((support.source / "tests/fuzz/regressions/svdag").glob("ok-*.svdag"))
+    for path in found:
+        shutil.copy(path, folder)
+    over(folder, [folder / p.name for p in found], 1)
 
 
 def test_scenes(folder):
