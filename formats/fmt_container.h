@@ -135,8 +135,8 @@ svo_result fmt_zstd_decode(fmt_zstd_pool *p, const void *stored, size_t stored_s
 /* The same to a place with room for decoded_size bytes. */
 svo_result fmt_zstd_decode_to(fmt_zstd_pool *p, const void *stored, size_t stored_size, void *to, uint64_t decoded_size, svo_error *err);
 
-/* Compress to at most `capacity` bytes: how many, 0 where they do not fit or memory is missing. */
-size_t fmt_zstd_shrink(fmt_zstd_pool *p, const void *bytes, size_t size, int level, void *to, size_t capacity);
+/* Encoding to a place with room for `capacity` bytes: how many were written, 0 where they do not fit or memory is missing. */
+size_t fmt_zstd_encode_to(fmt_zstd_pool *p, const void *bytes, size_t size, int level, void *to, size_t capacity);
 
 /* Explicit little-endian loads and stores. */
 static inline uint16_t fmt_load16(const uint8_t *p) { return (uint16_t)(p[0] | p[1] << 8); }

@@ -271,7 +271,7 @@ static void spill_unmap(void *user, void *data, uint64_t size)
 static uint32_t spill_compress(void *user, const void *bytes, uint32_t size, void *to, uint32_t capacity)
 {
     fmt_spill *s = user;
-    return (uint32_t)fmt_zstd_shrink(s->codec, bytes, size, 1, to, capacity);
+    return (uint32_t)fmt_zstd_encode_to(s->codec, bytes, size, 1, to, capacity);
 }
 
 static svo_result spill_decompress(void *user, const void *packed, uint32_t packed_size, void *bytes, uint32_t size, svo_error *err)

@@ -89,7 +89,7 @@ svo_result fmt_zstd_encode(fmt_zstd_pool *p, const void *bytes, size_t size, int
     return SVO_OK;
 }
 
-size_t fmt_zstd_shrink(fmt_zstd_pool *p, const void *bytes, size_t size, int level, void *to, size_t capacity)
+size_t fmt_zstd_encode_to(fmt_zstd_pool *p, const void *bytes, size_t size, int level, void *to, size_t capacity)
 {
     ZSTD_CCtx *c = take_encoder(p);
     if (c == NULL) return 0;

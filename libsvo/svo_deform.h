@@ -66,7 +66,8 @@ bool svo_scene_instance_bounds(const svo_scene *s, uint32_t page, uint64_t insta
 svo_result svo_scene_extents(const svo_scene *s, const svo_allocator *a, svo_extent *out, svo_error *err);
 
 /* A copy of a scene in which every instance has the pose as stated (its matrix is the one given, its bones are not used), with new bounds of the pages. The
- * source is borrowed. */
+ * source is borrowed. Errors: SVO_INVALID_ARGUMENT where the pose cannot be used, SVO_LIMIT where an asset is too large to be deformed in single
+ * precision, SVO_OUT_OF_MEMORY. */
 typedef struct svo_posed_scene svo_posed_scene;
 svo_result svo_scene_pose_all(const svo_scene *s, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_posed_scene **out, svo_error *err);
 const svo_scene *svo_posed_scene_get(const svo_posed_scene *p);

@@ -74,8 +74,9 @@ void svo_packed_scene_free(svo_packed_scene *p);
 /* Pack. Assets that no (kept) instance names are left out; assets that are equal in every stored byte are merged into
  * the first; the names that are left are shared. Instances are split by a k-d tree into pages of at most page_instances
  * (all full but the last of a split), in the order of the input inside a page. The result depends on the input only, not
- * on threads. A transform that is not finite, or whose image overflows single precision, is SVO_INVALID_DATA (err->index =
- * the place); where that is so by the size of an asset alone, or a name table is beyond 4 GiB, it is SVO_LIMIT. Memory: about 100 bytes an instance besides the result's 64. */
+ * on threads. A transform that is not finite in single precision is SVO_INVALID_DATA; an asset too large to be placed in
+ * it, or too far from the others of a page, is SVO_LIMIT (err->index = the place), and so is a name table beyond 4 GiB.
+ * Memory: about 100 bytes an instance besides the result's 64. */
 svo_result svo_pack(const svo_pack_input *input, const svo_pack_options *options, svo_packed_scene **out, svo_error *err);
 
 #ifdef __cplusplus

@@ -29,7 +29,8 @@ static svo_result find_centres(void *user, uint64_t begin, uint64_t end, uint32_
         for (int k = 0; k < 3; k++) {
             c[k] = low[k] / 2 + high[k] / 2 + 0.0; /* + 0.0: no negative zero */
             if (finite) continue;
-            svo_fail(err, SVO_LIMIT, "instance %llu: its asset is too large there: its bounds are not finite", (unsigned long long)p->order[i]); /* its transform is, as was seen before */
+            /* its transform is finite, as classify has seen */
+            svo_fail(err, SVO_LIMIT, "instance %llu: its asset is too large there: its bounds are not finite", (unsigned long long)p->order[i]);
             if (err != NULL) err->index = p->order[i];
             return SVO_LIMIT;
         }
@@ -165,7 +166,7 @@ static svo_result fill_pages(void *user, uint64_t begin, uint64_t end, uint32_t 
                 page->low[k] = fmin(page->low[k], low[k]), page->high[k] = fmax(page->high[k], high[k]);
             }
             if (good) continue;
-            /* its transform can be stored, as was seen before; with an asset of such a size it cannot */
+            /* as it was given its transform can be stored (classify), but not beside an asset of such a size */
             svo_fail(err, SVO_LIMIT, "instance %llu: its asset is too large, or too far from the others, to be placed in single precision (3.4e38)", (unsigned long long)p->order[i]);
             if (err != NULL) err->index = p->order[i];
             return SVO_LIMIT;

@@ -2,16 +2,15 @@
 #include <string.h>
 
 #include "svoi_dag.h"
-#include "svoi_palette.h"
 
 enum { READ_UNITS = 8 }; /* units read at a time */
 
 /* One that was set after its page had gone to the file. */
-struct svoi_late {
+typedef struct late_value {
     uint64_t index;
     uint32_t next; /* of the same page, as in svoi_page.late */
     uint8_t value[4];
-};
+} late_value;
 
 static uint64_t page_bytes(const svoi_values *v) { return (uint64_t)SVOI_PAGE * v->stride; }
 
@@ -133,25 +132,17 @@ svo_result svoi_values_append(svoi_values *v, const uint8_t *values, uint64_t co
 static svo_result set_late(svoi_values *v, uint64_t i, const uint8_t *value)
 {
     svoi_page *p = &v->page[i >> SVOI_PAGE_BITS];
-    for (uint32_t k = p->late; k != 0; k = v->late[k - 1].next)
-        if (v->late[k - 1].index == i) {
-            memcpy(v->late[k - 1].value, value, v->stride);
+    late_value *late = (late_value *)v->late.data;
+    for (uint32_t k = p->late; k != 0; k = late[k - 1].next)
+        if (late[k - 1].index == i) {
+            memcpy(late[k - 1].value, value, v->stride);
             return SVO_OK;
         }
-    if (v->late_count == v->late_capacity) {
-        if (v->late_capacity > UINT32_MAX / 2) return SVO_OUT_OF_MEMORY;
-        const uint32_t capacity = v->late_capacity + v->late_capacity / 2 + 8;
-        svoi_late *late = svo_alloc(v->a, capacity, sizeof *late);
-        if (late == NULL) return SVO_OUT_OF_MEMORY;
-        if (v->late_count != 0) memcpy(late, v->late, v->late_count * sizeof *late);
-        svo_free(v->a, v->late, v->late_capacity, sizeof *late);
-        v->late = late;
-        v->late_capacity = capacity;
-    }
-    svoi_late *l = &v->late[v->late_count++];
-    *l = (svoi_late){.index = i, .next = p->late};
-    memcpy(l->value, value, v->stride);
-    p->late = v->late_count;
+    if (v->late.data == NULL) svo_buffer_init(&v->late, v->a);
+    late_value l = {.index = i, .next = p->late};
+    memcpy(l.value, value, v->stride);
+    if (v->late.size / sizeof l == UINT32_MAX || svo_buffer_append(&v->late, &l, sizeof l) == NULL) return SVO_OUT_OF_MEMORY;
+    p->late = (uint32_t)(v->late.size / sizeof l);
     return SVO_OK;
 }
 
@@ -203,8 +194,9 @@ const uint8_t *svoi_values_get(const svoi_values *v, uint64_t first, uint64_t n,
     if (p->data != NULL) return p->data + (size_t)at * v->stride;
     for (uint32_t u = at / SVO_SUPERBLOCK; u < end; u += READ_UNITS)
         if (read_units(v, page, u, end - u < READ_UNITS ? end : u + READ_UNITS, at, (uint32_t)n, buffer, err) != SVO_OK) return NULL;
-    for (uint32_t k = p->late; k != 0; k = v->late[k - 1].next) {
-        const svoi_late *l = &v->late[k - 1];
+    const late_value *late = (const late_value *)v->late.data;
+    for (uint32_t k = p->late; k != 0; k = late[k - 1].next) {
+        const late_value *l = &late[k - 1];
         if (l->index >= first && l->index - first < n) memcpy(buffer + (l->index - first) * v->stride, l->value, v->stride);
     }
     return buffer;
@@ -234,7 +226,7 @@ void svoi_values_free(svoi_values *v)
 {
     for (uint64_t i = 0; i < v->page_count; i++) forget_page(v, &v->page[i]);
     svo_free(v->a, v->page, v->page_capacity, sizeof *v->page);
-    svo_free(v->a, v->late, v->late_capacity, sizeof *v->late);
+    svo_buffer_free(&v->late);
     svo_spill_close(&v->file);
     *v = (svoi_values){.a = v->a, .stride = v->stride, .store = v->store};
 }

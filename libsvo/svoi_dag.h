@@ -101,11 +101,10 @@ typedef struct svoi_store {
 /* All values of a channel, in pages, so that growing copies nothing. A page in the file is compressed unit by unit (a superblock each), so that one
  * can be read without the others. */
 enum { SVOI_PAGE_BITS = 16, SVOI_PAGE = 1 << SVOI_PAGE_BITS, SVOI_PAGE_UNITS = SVOI_PAGE / SVO_SUPERBLOCK };
-typedef struct svoi_late svoi_late;
 typedef struct svoi_page {
     uint8_t *data;   /* NULL: in the file */
     uint64_t offset; /* there */
-    uint32_t late;   /* newest of its values that were set since: number in svoi_values.late + 1, 0: none */
+    uint32_t late;   /* newest of its values that were set since: its number in svoi_values.late + 1, 0: none */
     uint16_t size[SVOI_PAGE_UNITS]; /* of the units in the file; where it is that of the values, they are stored as they are */
 } svoi_page;
 typedef struct svoi_values {
@@ -114,8 +113,7 @@ typedef struct svoi_values {
     uint64_t count;
     svoi_page *page;
     uint64_t page_count, page_capacity;
-    svoi_late *late;
-    uint32_t late_count, late_capacity;
+    svo_buffer late; /* values that were set when their page was in the file: svo_values.c */
     svoi_store *store;
     svo_spill_file file;
     uint64_t file_bytes; /* atomic: where the next page goes */

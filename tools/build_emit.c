@@ -68,7 +68,7 @@ static void command(emitter *e, const build_step *s, const build_options *o)
 
 static int by_text(const void *a, const void *b) { return strcmp(*(char *const *)a, *(char *const *)b); }
 
-/* Files that no step makes are named as such: Ninja builds nothing at all where one of them is missing, otherwise; so its asset alone fails. */
+/* Files that no step makes, as phony targets: a missing one then fails its asset alone; otherwise Ninja would build nothing at all. */
 static void ninja_sources(emitter *e, const build_plan *p)
 {
     size_t count = 0, made = 0;

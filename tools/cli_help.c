@@ -88,13 +88,13 @@ void cli_print_help(FILE *to, const cli_tool *tool, const cli_option *common, si
     char text[700];
     snprintf(text, sizeof text, "%s: %s", tool->name, tool->summary);
     wrap(to, text, 0, 0);
-    const char *way = tool->synopsis;
-    for (bool first = true; first || *way != 0; first = false) {
-        const size_t length = strcspn(way, "\n");
-        snprintf(text, sizeof text, "%.*s", (int)length, way);
-        const int at = fprintf(to, "%s%s ", first ? "\nUsage: " : "       ", tool->name) - (first ? 1 : 0);
+    fputc('\n', to);
+    for (const char *p = tool->synopsis; *p != 0;) {
+        const size_t length = strcspn(p, "\n");
+        snprintf(text, sizeof text, "%.*s", (int)length, p);
+        const int at = fprintf(to, "%-6s %s ", p == tool->synopsis ? "Usage:" : "", tool->name);
         wrap(to, text, at, at);
-        way += length + (way[length] == '\n');
+        p += length + (p[length] == '\n');
     }
     for (size_t i = 0; i < tool->option_count; i++) { /* groups in the order of their first option */
         const char *group = tool->options[i].group != NULL ? tool->options[i].group : "Options";

@@ -84,17 +84,16 @@ void cli_print_man(FILE *to, const cli_tool *tool, const cli_option *common, siz
     if (summary[0] != 0 && islower((unsigned char)summary[1])) summary[0] = (char)tolower((unsigned char)summary[0]);
     roff(to, summary);
     fputs("\n.SH SYNOPSIS\n", to);
-    const char *way = tool->synopsis;
-    for (bool first = true; first || *way != 0; first = false) {
+    for (const char *p = tool->synopsis; *p != 0;) {
         char line[700];
-        const size_t length = strcspn(way, "\n");
-        snprintf(line, sizeof line, "%.*s", (int)length, way);
-        fputs(first ? ".B " : ".PP\n.B ", to);
+        const size_t length = strcspn(p, "\n");
+        snprintf(line, sizeof line, "%.*s", (int)length, p);
+        fputs(p == tool->synopsis ? ".B " : ".PP\n.B ", to);
         roff(to, tool->name);
         fputc('\n', to);
         roff(to, line);
         fputc('\n', to);
-        way += length + (way[length] == '\n');
+        p += length + (p[length] == '\n');
     }
     fputs(".SH DESCRIPTION\n", to);
     roff(to, tool->summary);

@@ -266,7 +266,8 @@ typedef struct page {
     const svo_scene *scene;
     double origin[3];
     uint32_t deepest, level; /* level: the finest that is on the page */
-    bool crowded;            /* the level below it has more nodes than can be drawn, whatever their bytes */
+    bool crowded;            /* of the last level that was too much: by its nodes, whatever their bytes */
+    uint64_t posed;          /* instances that have a pose: their assets are drawn without it */
     json_t *assets;
     packer data;
 } page;
@@ -275,6 +276,7 @@ typedef struct page {
 static svo_result fill(page *p, uint64_t room, svo_error *err)
 {
     uint64_t budget = RAW_FACTOR * room, nodes = 0;
+    bool crowded = false;
     p->data.out.size = 0;
     p->data.limit = room;
     p->data.z = (z_stream){.zalloc = zlib_alloc, .zfree = zlib_free};
@@ -287,7 +289,7 @@ static svo_result fill(page *p, uint64_t room, svo_error *err)
         r = asset_make(&a, p->scene->assets[i], p->level, &budget, p->job->allocator, err);
         nodes += a.nodes;
         if (r == SVO_OK && nodes > TOTAL_LIMIT) r = SVO_CANCELLED;
-        p->crowded = r == SVO_CANCELLED && (a.nodes == NODE_LIMIT || nodes > TOTAL_LIMIT);
+        crowded = r == SVO_CANCELLED && (a.nodes == NODE_LIMIT || nodes > TOTAL_LIMIT);
         if (r == SVO_OK) r = squeeze_asset(&p->data, &a, err);
         if (r == SVO_OK) json_array_append_new(p->assets, asset_json(&a, p->scene->asset_names[i]));
         asset_free(&a);
@@ -295,6 +297,7 @@ static svo_result fill(page *p, uint64_t room, svo_error *err)
     if (r == SVO_OK) r = squeeze_instances(&p->data, p->scene, p->origin, err);
     if (r == SVO_OK) r = squeeze(&p->data, NULL, 0, true, err);
     deflateEnd(&p->data.z);
+    if (r == SVO_CANCELLED) p->crowded = crowded;
     return r;
 }
 
@@ -313,14 +316,6 @@ static json_t *camera_json(const svo_scene *s)
     svo_vec3 target = svo_add(eye, svo_scale(forward, reach));
     return json_pack("{s:[f,f,f],s:[f,f,f],s:f}", "eye", eye.x, eye.y, eye.z, "target", target.x, target.y, target.z, "fov",
                      s->camera_yfov * (180 / 3.14159265358979323846));
-}
-
-/* How many are not as they would be with their pose: the page draws assets as they are. */
-static uint64_t posed_instances(const svo_scene *s)
-{
-    uint64_t n = 0;
-    for (uint64_t i = 0; i < s->instance_count; i++) n += svo_scene_instance_pose(s, i) != NULL;
-    return n;
 }
 
 static json_t *meta_json(const page *p)
@@ -343,7 +338,7 @@ static json_t *meta_json(const page *p)
     json_object_set_new(o, "instance_names", names);
     json_object_set_new(o, "camera", camera_json(s));
     cli_put_u64(o, "dropped_levels", p->deepest - p->level);
-    cli_put_u64(o, "posed", posed_instances(s));
+    cli_put_u64(o, "posed", p->posed);
     json_object_set_new(o, "summary", summary);
     return o;
 }
@@ -427,9 +422,7 @@ static svo_result choose_level(page *p, uint64_t page_size, svo_error *err)
     json_decref(meta);
     for (p->level = p->deepest; fixed < page_size; p->level--) {
         cli_progress(p->job->c, "packing the page", -1);
-        const bool crowded = p->crowded;
         svo_result r = fill(p, (page_size - fixed) / 4 * 3, err);
-        if (r == SVO_OK) p->crowded = crowded;
         if (r != SVO_CANCELLED) return r;
         if (p->level == 0) break;
     }
@@ -437,9 +430,16 @@ static svo_result choose_level(page *p, uint64_t page_size, svo_error *err)
                     (unsigned long long)page_size, (unsigned long long)p->scene->asset_count, (unsigned long long)p->scene->instance_count);
 }
 
+static uint64_t posed_instances(const svo_scene *s)
+{
+    uint64_t n = 0;
+    for (uint64_t i = 0; i < s->instance_count; i++) n += svo_scene_instance_pose(s, i) != NULL;
+    return n;
+}
+
 static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, svo_error *err)
 {
-    page p = {.job = j, .scene = scene, .assets = json_array()};
+    page p = {.job = j, .scene = scene, .assets = json_array(), .posed = posed_instances(scene)};
     double low[3], high[3];
     svo_buffer_init(&p.data.out, j->allocator);
     if (svo_scene_bounds(scene, low, high))
@@ -453,16 +453,15 @@ static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, 
     else if (r == SVO_OK && p.level < p.deepest)
         cli_info(j->c, "%s: shows level %u of %u, so that the page stays under %llu bytes (--html-size)", j->html, p.level, p.deepest,
                  (unsigned long long)j->html_size);
-    if (r == SVO_OK && posed_instances(scene) != 0)
-        cli_info(j->c, "%s: %llu instances are drawn without their pose (svo-render draws it, and --save-svo makes an octree of it)", j->html,
-                 (unsigned long long)posed_instances(scene));
+    if (r == SVO_OK && p.posed != 0)
+        cli_info(j->c, "%s: instances drawn without their pose: %llu (svo-render draws it, and --save-svo makes an octree of it)", j->html, (unsigned long long)p.posed);
     if (r == SVO_OK) r = write_page(o, &p, err);
     if (r == SVO_OK) {
         json_t *html = json_object();
         cli_put_u64(html, "bytes", fmt_output_offset(o));
         cli_put_u64(html, "level", p.level);
         cli_put_u64(html, "levels_left_out", p.deepest - p.level);
-        cli_put_u64(html, "posed_instances", posed_instances(scene));
+        cli_put_u64(html, "posed_instances", p.posed);
         json_object_set_new(cli_section(j->c, "output"), "html", html);
     }
     json_decref(p.assets);

@@ -1,9 +1,9 @@
 """Each option of each tool's --help is used once, and does something: the list here and --help must name the same options.
 
-An entry is (arguments, expectation[, base]): "other": the output differs from that of the base command; "same": it does not, the option
+An entry is (arguments, expectation[, base[, base with the option]]): "other": the output differs from that of the base command; "same": it does not, the option
 changes only how it is made; "text": the printed text differs; "accepts": the base command ends with 7, with the option it ends with 0;
 "damage": of a damaged file, more is printed than without it; a file's name: it is written (the output may be the same). Arguments in
-braces are files of the folder. The shared options have a test of their own (test_options.py)."""
+braces are files of the folder. Options of the base that the arguments give, or that go without one another (INSTEAD), are left out of it. The shared options have a test of their own (test_options.py)."""
 
 import json
 import shutil
@@ -13,11 +13,12 @@ import rig
 import support
 from support import SHARED, check, options, run, tool, tools_by_name
 
+RAW = ["{v.raw}", "--raw", "6x5x4:u8"]
 VOXELIZE = {
-    "depth": (["--depth", 5], "other"), "voxel-size": (["--voxel-size", 0.11], "other", ["{c.glb}"]), "up": (["--up", "z"], "other"), "unit": (["--unit", "cm"], "other"),
+    "depth": (["--depth", 5], "other"), "voxel-size": (["--voxel-size", 0.11], "other"), "up": (["--up", "z"], "other"), "unit": (["--unit", "cm"], "other"),
     "fill": (["--fill", "solid"], "other"), "surface": (["--surface", "thin"], "other"), "attributes": (["--attributes", "none"], "other"), "level": (["--level", 3], "other"),
     "reference": (["--reference", 100, "--report", "{ref.json}"], "ref.json"), "disk": (["--disk", "small"], "other"),
-    "threshold": (["--threshold", 9], "other", ["{v.raw}", "--raw", "6x5x4:u8"]), "raw": (["--raw", "5x6x4:u8"], "other", ["{v.raw}", "--raw", "6x5x4:u8"]),
+    "threshold": (["--threshold", 9], "other", RAW), "raw": (["--raw", "5x6x4:u8"], "other", RAW),
     "columns": (["--columns", "y,x,z"], "other", ["{p.xyz}", "--depth", 3]), "min-points": (["--min-points", 2], "other", ["{p.xyz}", "--depth", 3]),
     "shard": (["--shard", "1/2"], "other", ["{s.obj}", "--depth", 8]), "temp": (["--temp", "{temp}", "--memory", "64M"], "same"), "temp-size": (["--temp-size", "1G", "--memory", "64M"], "same"),
     "dry-run": (["--dry-run"], "text"), "ignore-free-space": (["--ignore-free-space"], "same"), "depfile": (["--depfile", "{d.d}"], "d.d"),
@@ -33,7 +34,7 @@ SKELETON = {
     "draco": (["--draco", 12, "--glb", "{k3.glb}"], "k3.glb"), "bind": (["--bind", "{s.svo}", "--bound", "{bound.svo}"], "bound.svo"), "bound": (["--bind", "{s.svo}", "--bound", "{bound2.svo}"], "bound2.svo"),
     "solid": (["--solid", "{solid.svo}"], "solid.svo"), "reconstruct": (["--reconstruct", "{closed.ply}"], "closed.ply"), "solid-divide": (["--solid-divide", 1, "--solid", "{solid1.svo}"], "solid1.svo")}
 PACK = {
-    "depth": (["--depth", 5], "other", ["{c.glb}"]), "voxel-size": (["--voxel-size", 0.2], "other", ["{c.glb}"]), "view-distance": (["--view-distance", 90], "other", ["{c.glb}"]), "budget": (["--budget", "9K"], "other", ["{c.glb}"]),
+    "depth": (["--depth", 5], "other"), "voxel-size": (["--voxel-size", 0.2], "other"), "view-distance": (["--view-distance", 90], "other"), "budget": (["--budget", "9K"], "other"),
     "attributes": (["--attributes", "none"], "other"), "surface": (["--surface", "thin"], "other"), "fill": (["--fill", "solid"], "other"), "color": (["--color", "deltaE=20"], "other"),
     "normal": (["--normal", 6], "other", ["{s.obj}", "--depth", 4]), "lod": (["--lod", "none"], "other"), "animation": (["--animation", 0], "other", ["{arm.gltf}", "--depth", 4]),
     "time": (["--time", 0.5], "other", ["{arm.gltf}", "--depth", 4]), "skins": (["--skins", "bake"], "other", ["{arm.gltf}", "--depth", 4]), "page": (["--page", 1], "other")}
@@ -58,7 +59,7 @@ BENCH = {
     "sweep": (["--sweep", "omega", "--values", "0.3", "--repeat", 1], "text", ["{s.obj}", "--sweep", "depth", "--values", "3", "--repeat", 1]), "values": (["--values", "3,4"], "text"), "depth": (["--depth", 3, "--sweep", "color", "--values", "4"], "text"),
     "attributes": (["--attributes", "none"], "text"), "repeat": (["--repeat", 2], "text"), "clock": (["--clock", "cpu"], "text"), "list": (["--list", "{list.txt}"], "text"), "csv": (["--csv", "{b.csv}"], "b.csv"),
     "json": (["--json", "{b.json}"], "b.json"), "svg": (["--svg", "{b.svg}"], "b.svg"), "html": (["--html", "{b.html}"], "b.html")}
-MERGE = {"list": (["--list", "{shards.txt}"], "other", ["{part1.svo}"]), "disk": (["--disk", "small"], "other"), "level": (["--disk", "fast", "--level", 5], "other")}
+MERGE = {"list": (["--list", "{shards.txt}"], "same", ["{part1.svo}", "{part2.svo}"], ["{part1.svo}"]), "disk": (["--disk", "small"], "other"), "level": (["--disk", "fast", "--level", 5], "other")}
 BUILD = {"jobs": (["-j", 2], "same"), "retries": (["--retries", 0], "same"), "dry-run": (["--dry-run"], "text"), "emit": (["--emit", "sh"], "text"), "tools": (["--tools", "{TOOLS}"], "same")}
 
 # arguments that every run of a tool has, and where its output goes
@@ -114,24 +115,29 @@ def inputs(folder):
     (folder / "build.json").write_text(json.dumps({"output": "built", "defaults": {"voxelize": {"depth": 3}}, "assets": [{"name": "a", "input": "c.glb"}]}))
 
 
+INSTEAD = {"--voxel-size": "--depth", "--view-distance": "--depth", "--budget": "--depth"}
+
+
 def resolved(folder, args):
     return [str(support.tools) if a == "{TOOLS}" else str(folder / a[1:-1]) if isinstance(a, str) and a.startswith("{") else a for a in args]
 
 
 def base_of(tool_name, entry):
-    """The base command of an entry. --depth of the entry replaces that of the base."""
-    base = entry[2] if len(entry) > 2 else BASES[tool_name][0]
-    if tool_name == "svo-merge" and len(entry) > 2:
-        return base
-    given = [a for a in entry[0] if isinstance(a, str) and a.startswith("--")]
-    kept, i = [], 0
-    while i < len(base):
-        if isinstance(base[i], str) and base[i].startswith("--") and base[i] in given:
-            i += 2
+    return entry[2] if len(entry) > 2 else BASES[tool_name][0]
+
+
+def with_option(tool_name, entry):
+    """The base and the entry's arguments."""
+    base, kept = entry[3] if len(entry) > 3 else base_of(tool_name, entry), []
+    given = {a for a in entry[0] if str(a).startswith("--")}
+    given |= {INSTEAD[a] for a in given if a in INSTEAD}
+    words = iter(base)
+    for word in words:
+        if word in given:
+            next(words)  # its value
         else:
-            kept.append(base[i])
-            i += 1
-    return kept
+            kept.append(word)
+    return kept + entry[0]
 
 
 def output_of(folder, tool_name, args, code=0):
@@ -147,19 +153,15 @@ def output_of(folder, tool_name, args, code=0):
 
 
 def check_one(folder, tool_name, long, entry, bases):
-    base = entry[2] if len(entry) > 2 else BASES[tool_name][0]
     expected = entry[1]
     codes = {"accepts": (7, 0), "damage": (3, 3)}.get(expected, (0, 0))
-    if expected in ("other", "same", "text", "accepts", "damage"):
-        key = json.dumps(base)
-        if key not in bases:
-            whole = base if tool_name != "svo-merge" or "--disk" in base else ["{c.svo}", "--disk", "fast"]
-            whole = whole + ["--depth", 4] if tool_name in ("svo-voxelize", "svo-pack") and not {"--depth", "--raw"} & set(map(str, whole)) else whole
-            bases[key] = output_of(folder, tool_name, whole, codes[0])
+    key = json.dumps(base_of(tool_name, entry))
+    if expected in ("other", "same", "text", "accepts", "damage") and key not in bases:
+        bases[key] = output_of(folder, tool_name, base_of(tool_name, entry), codes[0])
     for name in (expected, BASES[tool_name][1]):
         if name and "." in name and (folder / name).exists():
             (folder / name).unlink()
-    got = output_of(folder, tool_name, base_of(tool_name, entry) + entry[0], codes[1])
+    got = output_of(folder, tool_name, with_option(tool_name, entry), codes[1])
     what = "%s --%s" % (tool_name, long)
     if expected == "other":
         check(got[0] != b"" and got[0] != bases[key][0], what + " changes nothing")

@@ -262,7 +262,7 @@ def test_poses_are_told_of(folder):
     rig.arm(folder / "arm.gltf")
     run("svo-pack", folder / "arm.gltf", "-o", folder / "arm.svscene", "--depth", 5, "--time", 0.5)
     r = run("svo-dump", folder / "arm.svscene", "--html", folder / "arm.html", "--report", folder / "r.json")
-    check("without their pose" in r.err and support.report(folder / "r.json")["output"]["html"]["posed_instances"] == 1, r)
+    check("without their pose: 1" in r.err and support.report(folder / "r.json")["output"]["html"]["posed_instances"] == 1, r)
     with browser.open_page(folder / "arm.html", WIDTH, HEIGHT) as p:
         show(p, folder, "arm.png")
         check("1 instance is shown without pose" in p.evaluate("document.getElementById('facts').textContent"), p.evaluate("document.getElementById('facts').textContent")[:600])
