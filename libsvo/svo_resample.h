@@ -50,6 +50,7 @@ typedef struct svo_unpose_options {
     bool reflections;   /* metallic and roughness are wanted */
     double reflectance; /* of assets that have neither, 0..1 */
     bool labels;        /* bones are wanted */
+    uint64_t most_cells; /* of one box, as in svo_resample */
 } svo_unpose_options;
 
 typedef struct svo_unpose_report {

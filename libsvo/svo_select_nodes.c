@@ -173,7 +173,7 @@ svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_vi
     svoi_sight seen = project(s, low, high, &size);
     if (seen != SVOI_SEEN) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
     if (n->level >= p->view->depth) return SVOI_TAKE;
-    if (s->o->whole) return SVOI_DESCEND;
+    if (s->o->whole) return high[0] - low[0] <= s->o->edge && high[1] - low[1] <= s->o->edge && high[2] - low[2] <= s->o->edge ? SVOI_TAKE : SVOI_DESCEND;
     if (size == INFINITY) size = size_at_distance(s, low, high);
     return size < s->o->delta ? SVOI_TAKE : SVOI_DESCEND;
 }

@@ -271,7 +271,7 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
         return result;
     }
     r.select = selection.report;
-    result = svo_resample(&selection, o->method, 0, o->select.threads, a, &cells, err);
+    result = svo_resample(&selection, o->method, o->most_cells, o->select.threads, a, &cells, err);
     r.resample = cells.report;
     double began = svo_seconds();
     if (result == SVO_OK) result = find_values(o, &values, err);

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "dump_export.h"
+#include "dump_pose.h"
 #include "svo_bones.h"
 #include "svo_deform.h"
 
@@ -19,7 +20,8 @@ typedef struct shape {
 typedef struct scene_job {
     dump_job *j;
     const svo_scene *s;
-    shape *shapes; /* by asset and pose */
+    dump_pairs pairs;
+    shape *shapes; /* of each pair */
     uint64_t shape_count;
     uint64_t voxels; /* of all shapes */
     bool colored;    /* any of them */
@@ -29,45 +31,20 @@ typedef struct scene_job {
     svo_buffer placed;
 } scene_job;
 
-static uint32_t pose_of(const scene_job *k, uint64_t instance)
-{
-    return k->j->export.rest || svo_scene_instance_pose(k->s, instance) == NULL ? SVO_NO_POSE : k->s->instance_pose[instance];
-}
-
-static int by_asset_and_pose(const void *a, const void *b)
-{
-    const uint32_t *p = a, *q = b;
-    if (p[0] != q[0]) return p[0] < q[0] ? -1 : 1;
-    return p[1] < q[1] ? -1 : p[1] > q[1];
-}
-
-/* Each pair of asset and pose that is there, once. */
 static svo_result find_shapes(scene_job *k, svo_error *err)
 {
-    const svo_scene *s = k->s;
-    uint32_t (*pair)[2] = svo_alloc(k->j->allocator, s->instance_count, sizeof *pair);
-    if (pair == NULL && s->instance_count != 0) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the instances");
-    for (uint64_t i = 0; i < s->instance_count; i++) pair[i][0] = s->instance_asset[i], pair[i][1] = pose_of(k, i);
-    if (s->instance_count != 0) qsort(pair, s->instance_count, sizeof *pair, by_asset_and_pose);
-    uint64_t count = 0;
-    for (uint64_t i = 0; i < s->instance_count; i++)
-        if (i == 0 || by_asset_and_pose(pair[i], pair[count - 1]) != 0) memmove(pair[count++], pair[i], sizeof *pair);
-    k->shapes = svo_calloc(k->j->allocator, count, sizeof *k->shapes);
-    svo_result r = k->shapes != NULL || count == 0 ? SVO_OK : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the assets");
-    if (r == SVO_OK) k->shape_count = count;
-    for (uint64_t i = 0; i < k->shape_count; i++) {
-        k->shapes[i] = (shape){.asset = pair[i][0], .pose = pair[i][1], .mesh = UINT64_MAX};
-        svo_buffer_init(&k->shapes[i].faces, k->j->allocator);
+    SVO_TRY(dump_pairs_find(k->s, k->j->export.rest, k->j->allocator, &k->pairs, err));
+    k->shapes = svo_calloc(k->j->allocator, k->pairs.count, sizeof *k->shapes);
+    if (k->shapes == NULL && k->pairs.count != 0) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the assets");
+    for (k->shape_count = 0; k->shape_count < k->pairs.count; k->shape_count++) {
+        const dump_pair *p = &k->pairs.pair[k->shape_count];
+        k->shapes[k->shape_count] = (shape){.asset = p->asset, .pose = p->pose, .mesh = UINT64_MAX};
+        svo_buffer_init(&k->shapes[k->shape_count].faces, k->j->allocator);
     }
-    svo_free(k->j->allocator, pair, s->instance_count, sizeof *pair);
-    return r;
+    return SVO_OK;
 }
 
-static shape *shape_of(const scene_job *k, uint64_t instance)
-{
-    const shape key = {.asset = k->s->instance_asset[instance], .pose = pose_of(k, instance)};
-    return bsearch(&key, k->shapes, k->shape_count, sizeof key, by_asset_and_pose);
-}
+static shape *shape_of(const scene_job *k, uint64_t instance) { return &k->shapes[dump_pairs_index(&k->pairs, k->s, k->j->export.rest, instance)]; }
 
 /* --- poses --- */
 
@@ -298,6 +275,7 @@ svo_result dump_export_scene(dump_job *j, const svo_scene *s, dump_format f, con
     for (uint64_t i = 0; i < k.shape_count; i++) svo_buffer_free(&k.shapes[i].faces);
     svo_buffer_free(&k.placed);
     svo_buffer_free(&k.many);
-    svo_free(j->allocator, k.shapes, k.shape_count, sizeof *k.shapes);
+    svo_free(j->allocator, k.shapes, k.pairs.count, sizeof *k.shapes);
+    dump_pairs_free(&k.pairs);
     return r;
 }

@@ -8,6 +8,7 @@
 #include "cli_scene.h"
 #include "dump.h"
 #include "dump_cut.h"
+#include "dump_pose.h"
 #include "embed.h"
 
 enum {
@@ -81,6 +82,7 @@ static void choose_planes(asset *a)
     a->emissive = find(v, "emissive", SVO_KIND_COLOR_SRGB8);
     a->coverage = find(v, "coverage", SVO_KIND_UNORM8);
     a->label = find(v, "bone", SVO_KIND_ID16);
+    if (a->label == SVO_MAX_CHANNELS) a->label = find(v, "bone", SVO_KIND_ID32); /* of a pose: numbers of 16 bits all the same */
     if (a->label == SVO_MAX_CHANNELS) a->label = find(v, "material", SVO_KIND_ID16);
     const uint32_t of[PLANES] = {a->color, a->color, a->color, a->normal, a->normal, a->label, a->label, a->emissive, a->emissive, a->emissive, a->coverage};
     for (int i = 0; i < 3; i++) a->constant[i] = svo_linear_to_srgb(0.6f); /* as svo-render draws what has no colour */
@@ -128,11 +130,11 @@ static void asset_free(asset *a)
     }
 }
 
-static svo_result asset_make(asset *a, const svo_view *v, uint32_t level, uint64_t *budget, const svo_allocator *allocator, svo_error *err)
+static svo_result asset_make(asset *a, const svo_view *v, uint32_t depth, uint64_t *budget, const svo_allocator *allocator, svo_error *err)
 {
     memset(a, 0, sizeof *a);
     a->v = v;
-    a->depth = v->tree_depth < level ? v->tree_depth : level;
+    a->depth = depth;
     a->budget = budget;
     for (int k = 0; k < 3; k++) a->low[k] = 1;
     for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) {
@@ -267,10 +269,12 @@ typedef struct page {
     double origin[3];
     uint32_t deepest, level; /* level: the finest that is on the page */
     bool crowded;            /* of the last level that was too much: by its nodes, whatever their bytes */
-    uint64_t posed;          /* instances that have a pose: their assets are drawn without it */
+    const dump_still *still; /* NULL: no instance has a pose */
     json_t *assets;
     packer data;
 } page;
+
+static uint32_t finest_of(const page *p, uint32_t i) { return p->still != NULL ? p->still->finest[i] : p->scene->assets[i]->tree_depth; }
 
 /* Fill assets and data with everything cut at p->level; SVO_CANCELLED when that is too much. */
 static svo_result fill(page *p, uint64_t room, svo_error *err)
@@ -285,8 +289,9 @@ static svo_result fill(page *p, uint64_t room, svo_error *err)
     if (deflateInit(&p->data.z, 6) != Z_OK) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory to compress the page");
     svo_result r = SVO_OK;
     for (uint32_t i = 0; i < p->scene->asset_count && r == SVO_OK; i++) {
+        const uint32_t finest = finest_of(p, i);
         asset a;
-        r = asset_make(&a, p->scene->assets[i], p->level, &budget, p->job->allocator, err);
+        r = asset_make(&a, p->scene->assets[i], finest < p->level ? finest : p->level, &budget, p->job->allocator, err);
         nodes += a.nodes;
         if (r == SVO_OK && nodes > TOTAL_LIMIT) r = SVO_CANCELLED;
         crowded = r == SVO_CANCELLED && (a.nodes == NODE_LIMIT || nodes > TOTAL_LIMIT);
@@ -338,7 +343,8 @@ static json_t *meta_json(const page *p)
     json_object_set_new(o, "instance_names", names);
     json_object_set_new(o, "camera", camera_json(s));
     cli_put_u64(o, "dropped_levels", p->deepest - p->level);
-    cli_put_u64(o, "posed", p->posed);
+    cli_put_u64(o, "posed", p->still != NULL ? p->still->posed : 0);
+    cli_put_u64(o, "rested", p->still != NULL ? p->still->rested : 0);
     json_object_set_new(o, "summary", summary);
     return o;
 }
@@ -426,26 +432,35 @@ static svo_result choose_level(page *p, uint64_t page_size, svo_error *err)
         if (r != SVO_CANCELLED) return r;
         if (p->level == 0) break;
     }
-    return svo_fail(err, SVO_LIMIT, "the page would be larger than %llu bytes even without any detail (%llu assets, %llu instances); raise --html-size",
-                    (unsigned long long)page_size, (unsigned long long)p->scene->asset_count, (unsigned long long)p->scene->instance_count);
+    return svo_fail(err, SVO_LIMIT, "the page would be larger than %llu bytes even without any detail (%llu assets, %llu instances); raise --html-size%s",
+                    (unsigned long long)page_size, (unsigned long long)p->scene->asset_count, (unsigned long long)p->scene->instance_count,
+                    p->still != NULL && p->still->posed != 0 ? " or leave poses out (--rest)" : "");
 }
 
-static uint64_t posed_instances(const svo_scene *s)
+static void tell_poses(const page *p)
 {
-    uint64_t n = 0;
-    for (uint64_t i = 0; i < s->instance_count; i++) n += svo_scene_instance_pose(s, i) != NULL;
-    return n;
+    const dump_still *t = p->still;
+    json_t *html = json_object_get(cli_section(p->job->c, "output"), "html");
+    cli_put_u64(html, "posed_instances", t != NULL ? t->posed : 0);
+    cli_put_u64(html, "poses_left_out", t != NULL ? t->rested : 0);
+    cli_put_u64(html, "coarser_poses", t != NULL ? t->coarser : 0);
+    if (t == NULL) return;
+    if (t->coarser != 0)
+        cli_info(p->job->c, "%s: instances whose poses are made of coarser nodes, for their number: %llu", p->job->html, (unsigned long long)t->coarser);
+    if (t->rested != 0)
+        cli_info(p->job->c, "%s: instances drawn without their pose: %llu%s", p->job->html, (unsigned long long)t->rested,
+                 p->job->export.rest ? "" : " (it goes beyond the range of numbers, or there are more than 8192 poses)");
 }
 
-static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, svo_error *err)
+static svo_result make_page(dump_job *j, const svo_scene *scene, const dump_still *still, fmt_output *o, svo_error *err)
 {
-    page p = {.job = j, .scene = scene, .assets = json_array(), .posed = posed_instances(scene)};
+    page p = {.job = j, .scene = scene, .assets = json_array(), .still = still};
     double low[3], high[3];
     svo_buffer_init(&p.data.out, j->allocator);
     if (svo_scene_bounds(scene, low, high))
         for (int k = 0; k < 3; k++) p.origin[k] = 0.5 * low[k] + 0.5 * high[k];
     for (uint32_t i = 0; i < scene->asset_count; i++)
-        if (scene->assets[i]->tree_depth > p.deepest) p.deepest = scene->assets[i]->tree_depth;
+        if (finest_of(&p, i) > p.deepest) p.deepest = finest_of(&p, i);
     svo_result r = choose_level(&p, j->html_size, err);
     if (r == SVO_OK && p.level < p.deepest && p.crowded)
         cli_info(j->c, "%s: shows level %u of %u; with level %u it would have more nodes than a page draws (%d an octree, %d in all)", j->html, p.level, p.deepest, p.level + 1,
@@ -453,16 +468,14 @@ static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, 
     else if (r == SVO_OK && p.level < p.deepest)
         cli_info(j->c, "%s: shows level %u of %u, so that the page stays under %llu bytes (--html-size)", j->html, p.level, p.deepest,
                  (unsigned long long)j->html_size);
-    if (r == SVO_OK && p.posed != 0)
-        cli_info(j->c, "%s: instances drawn without their pose: %llu (svo-render draws it, and --save-svo makes an octree of it)", j->html, (unsigned long long)p.posed);
     if (r == SVO_OK) r = write_page(o, &p, err);
     if (r == SVO_OK) {
         json_t *html = json_object();
         cli_put_u64(html, "bytes", fmt_output_offset(o));
         cli_put_u64(html, "level", p.level);
         cli_put_u64(html, "levels_left_out", p.deepest - p.level);
-        cli_put_u64(html, "posed_instances", p.posed);
         json_object_set_new(cli_section(j->c, "output"), "html", html);
+        tell_poses(&p);
     }
     json_decref(p.assets);
     svo_buffer_free(&p.data.out);
@@ -472,11 +485,16 @@ static svo_result make_page(dump_job *j, const svo_scene *scene, fmt_output *o, 
 svo_result dump_html(dump_job *j, svo_error *err)
 {
     cli_scene s;
+    dump_still still = {0};
     fmt_output *o = NULL;
     SVO_TRY(fmt_output_open(j->html, j->c->force, &o, err)); /* before the work, so that a bad place is known at once */
     svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, NULL, &s, err);
     if (r == SVO_OK) {
-        r = make_page(j, s.scene, o, err);
+        const bool posed = s.scene->instance_pose != NULL;
+        if (j->export.rest && strcmp(s.kind, "svscene") != 0) r = svo_fail(err, SVO_INVALID_ARGUMENT, "--rest is for scenes");
+        if (r == SVO_OK && posed) r = dump_still_make(j->c, s.scene, j->export.rest, j->allocator, &still, err);
+        if (r == SVO_OK) r = make_page(j, posed ? &still.scene : s.scene, posed ? &still : NULL, o, err);
+        dump_still_free(&still);
         cli_scene_close(&s);
     }
     if (r == SVO_OK) return fmt_output_commit(o, err);

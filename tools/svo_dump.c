@@ -156,7 +156,7 @@ int main(int argc, char **argv)
         {.name = "instancing", .kind = CLI_FLAG, .value = &o.export.instancing, .group = "Export",
          .help = "Scenes as .glb: instances of one asset as one node (EXT_mesh_gpu_instancing), without their names and numbers."},
         {.name = "rest", .kind = CLI_FLAG, .value = &o.export.rest, .group = "Export",
-         .help = "Scenes: every instance as it is without its pose, so that each asset is written once."},
+         .help = "Scenes, of --html too: every instance as it is without its pose, so that each asset is written once."},
         {.name = "html", .kind = CLI_TEXT, .value = &o.html, .argument = "OUT.html", .no_default = true,
          .help = "Write one page that draws the octree or scene in a browser (WebGL 2), without a server or network; - is stdout."},
         {.name = "html-size", .kind = CLI_SIZE, .value = &o.html_size, .argument = "SIZE", .min = 1 << 17, .max = 1u << 30,
@@ -186,8 +186,9 @@ int main(int argc, char **argv)
     if (o.source != NULL && (!o.validate || c.input_count != 1)) return cli_usage(&c, "--source takes one FILE and --validate");
     if (o.source != NULL && strcmp(o.source, "-") == 0) return cli_usage(&c, "--source is a file, it is read twice");
     if (o.voxels != NULL && o.json && strcmp(o.voxels, "-") == 0) return cli_usage(&c, "--json and --voxels - would both write to stdout");
-    if (o.export.path == NULL && (o.export.has_level || o.export.has_low || o.export.has_high || o.export.has_draco || o.export.instancing || o.export.rest || o.volume != 0))
-        return cli_usage(&c, "--level, --low, --high, --draco, --instancing, --rest and --volume need --export");
+    if (o.export.path == NULL && (o.export.has_level || o.export.has_low || o.export.has_high || o.export.has_draco || o.export.instancing || o.volume != 0))
+        return cli_usage(&c, "--level, --low, --high, --draco, --instancing and --volume need --export");
+    if (o.export.path == NULL && o.html == NULL && o.export.rest) return cli_usage(&c, "--rest needs --export or --html");
     if (o.export.path != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--export takes one FILE and excludes --validate");
     if (o.html != NULL && (c.input_count != 1 || o.validate)) return cli_usage(&c, "--html takes one FILE and excludes --validate");
     if (o.html != NULL && strcmp(o.html, "-") == 0 && (o.json || (o.voxels != NULL && strcmp(o.voxels, "-") == 0)))

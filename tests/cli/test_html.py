@@ -71,7 +71,7 @@ def share_that_differs(a, b, by=12):
     return n / (len(a) * len(a[0]))
 
 
-def compare(folder, file, views, more=()):
+def compare(folder, file, views, more=(), most=0.01):
     with browser.open_page(page(folder, file, *more), WIDTH, HEIGHT) as p:
         for i, (eye, target, fov) in enumerate(views):
             picture = folder / ("render%d.png" % i)
@@ -83,7 +83,7 @@ def compare(folder, file, views, more=()):
             covered = sum(q != wanted[y][0] for y, row in enumerate(wanted) for q in row) / (WIDTH * HEIGHT)
             check(covered > 0.03, "view %d of %s shows nothing, background %s" % (i, file.name, background))
             differs = share_that_differs(shown, wanted)
-            check(differs < 0.01, "view %d of %s: %.2f %% of the pixels differ from svo-render's" % (i, file.name, 100 * differs))
+            check(differs < most, "view %d of %s: %.2f %% of the pixels differ from svo-render's" % (i, file.name, 100 * differs))
         check(p.problems == [], p.problems)
 
 
@@ -257,17 +257,72 @@ def test_size(folder):
         check(p.problems == [], p.problems)
 
 
-def test_poses_are_told_of(folder):
-    """The page draws assets without their pose, and says so in every place where one looks."""
+def test_poses_are_drawn(folder):
+    """Bones, twists and bends on the page are those of svo-render's picture, and the bones are there to be looked at; --rest draws assets as they are."""
+    browser.find()
     rig.arm(folder / "arm.gltf")
-    run("svo-pack", folder / "arm.gltf", "-o", folder / "arm.svscene", "--depth", 5, "--time", 0.5)
+    run("svo-pack", folder / "arm.gltf", "-o", folder / "arm.svscene", "--depth", 8, "--time", 0.5)
+    low, high = (json.loads(run("svo-dump", folder / "arm.svscene", "--json").out)["bounds"][k] for k in ("low", "high"))
+    middle, size = [(a + b) / 2 for a, b in zip(low, high)], max(b - a for a, b in zip(low, high))
+    views = [([middle[0] + size * x, middle[1] + size * y, middle[2] + size * z], middle, 40) for x, y, z in ((0.4, 0.5, 1.4), (-1.2, 0.2, -0.9))]
+    compare(folder, folder / "arm.svscene", views, most=0.03)
     r = run("svo-dump", folder / "arm.svscene", "--html", folder / "arm.html", "--report", folder / "r.json")
-    check("without their pose: 1" in r.err and support.report(folder / "r.json")["output"]["html"]["posed_instances"] == 1, r)
-    with browser.open_page(folder / "arm.html", WIDTH, HEIGHT) as p:
-        show(p, folder, "arm.png")
-        check("1 instance is shown without pose" in p.evaluate("document.getElementById('facts').textContent"), p.evaluate("document.getElementById('facts').textContent")[:600])
-        check(p.problems == [], p.problems)
-    check("pose" not in run("svo-dump", cube(folder, 4), "--html", folder / "c.html").err)
+    out = support.report(folder / "r.json")["output"]["html"]
+    check("pose" not in r.err and (out["posed_instances"], out["poses_left_out"], out["coarser_poses"]) == (1, 0, 0), (r, out))
+    rest = run("svo-dump", folder / "arm.svscene", "--html", folder / "rest.html", "--rest", "--report", folder / "r.json")
+    out = support.report(folder / "r.json")["output"]["html"]
+    check(tool("svo-dump", sphere(folder, 3), "--html", folder / "x.html", "--rest").code == 1 and not (folder / "x.html").exists())
+    check("without their pose: 1" in rest.err and (out["posed_instances"], out["poses_left_out"]) == (0, 1), (rest, out))
+    shots = []
+    for name in ("arm.html", "rest.html"):
+        with browser.open_page(folder / name, WIDTH, HEIGHT) as p:
+            camera(p, *views[0])
+            shots.append(show(p, folder, "shot.png"))
+            check(("1 instance is shown without pose" in p.evaluate("document.getElementById('facts').textContent")) == (name == "rest.html"), name)
+            p.evaluate("svokit.state.mode = 4; svokit.redraw()")
+            colors = {q for row in show(p, folder, "bones.png") for q in row}
+            check(p.evaluate("[...document.getElementById('mode').options].some(o => o.text === 'bone')") and len(colors) > 3, "%s: no bones" % name)
+            check(p.problems == [], p.problems)
+    check(share_that_differs(*shots) > 0.02, "the pose changes nothing")
+
+
+def bent_scene(folder, count):
+    """Instances in a row, each with a twist of its own but the last three: one bent, one at rest, one as the first."""
+    if not (folder / "cube.svdag").exists():
+        sphere(folder)
+        run("svo-compress", cube(folder, 7, "cube", ("--attributes", "normal")), "-o", folder / "cube.svdag")
+    instances = [{"asset": "cube", "translation": [1.5 * i, 0, 0], "pose": {"twist": {"axis": "y", "degrees": 10 + 80 * i / count}}} for i in range(count)]
+    instances += [{"asset": "ball", "translation": [0, 0, -3], "pose": {"bend": {"axis": "y", "towards": "x", "degrees": 70}}}, {"asset": "cube", "translation": [-2, 0, 0], "scale": [0.5, 0.5, 0.5]},
+                  dict(instances[0], translation=[0, 1.5, 0])]
+    (folder / "bent.json").write_text(json.dumps({"assets": [{"name": "ball", "file": "ball.svdag"}, {"name": "cube", "file": "cube.svdag"}], "instances": instances}))
+    run("svo-pack", folder / "bent.json", "-o", folder / "bent.svscene", "-f")
+    return folder / "bent.svscene"
+
+
+def test_twisted_and_bent(folder):
+    browser.find()
+    file = bent_scene(folder, 3)
+    compare(folder, file, [([1.5, 1.2, 5.4], [1, 0, 0], 50), ([-4, 3, -4], [1, 0.3, -1], 50)], most=0.03)
+    meta = json.loads(re.search(r'<script id="meta"[^>]*>(.*?)</script>', page(folder, file, "-f").read_text(), re.S).group(1))
+    names = [a["name"] for a in meta["assets"]]
+    check(len(names) == 5 and sorted(n.split(" ")[0] for n in names) == ["ball"] + 4 * ["cube"] and sum("(pose " in n for n in names) == 4, names) # equal poses are one
+    a = page(folder, file, "-f", "--threads", 1).read_bytes()
+    check(a == page(folder, file, "-f", "--threads", 3).read_bytes(), "the page depends on threads")
+
+
+def test_a_crowd_of_poses(folder):
+    """Many poses share the nodes that a page has room for: they are made of coarser ones, and it says so; more poses than a page takes stand as they are."""
+    file = bent_scene(folder, 3000)
+    r = run("svo-dump", file, "--html", folder / "crowd.html", "--report", folder / "r.json")
+    out = support.report(folder / "r.json")["output"]["html"]
+    check("coarser nodes, for their number: 3" in r.err and out["coarser_poses"] > 3000 and out["posed_instances"] == 3002 and out["poses_left_out"] == 0, (r, out))
+    r = tool("svo-dump", file, "--html", folder / "small.html", "--html-size", "300K")
+    check(r.code == 6 and "--rest" in r.err and not (folder / "small.html").exists(), r)
+    run("svo-dump", file, "--html", folder / "small.html", "--html-size", "300K", "--rest")
+    file = bent_scene(folder, 10000)
+    r = run("svo-dump", file, "--html", folder / "crowd.html", "-f", "--report", folder / "r.json")
+    out = support.report(folder / "r.json")["output"]["html"]
+    check("without their pose: 10002" in r.err and out["poses_left_out"] == 10002, (r, out))
 
 
 def test_more_nodes_than_can_be_drawn(folder):

@@ -327,6 +327,37 @@ static void check_covered(const world *w, const svo_view *octree, int which, con
     }
 }
 
+/* Nodes by the length of their boxes: each is short enough or a finest voxel, and there are fewer the longer they may be. */
+TEST(nodes_of_a_length)
+{
+    svo_error err = {0};
+    const svo_mat4 place = svo_mat4_identity();
+    for (int which = 0; which < NAMED && !test_failed(); which++) {
+        world w;
+        uint64_t before = UINT64_MAX;
+        world_make(&w, which, &place);
+        for (double edge = 0; edge < 100 && !test_failed(); edge = edge == 0 ? 1 : 2 * edge) {
+            svo_select_options o = looking(true);
+            svo_selection s;
+            uint64_t longer = 0;
+            o.edge = edge;
+            CHECK_OK(svo_select(&w.scene, &o, &s, &err));
+            for (uint64_t i = 0; i < s.count; i++)
+                for (int k = 0; k < 3; k++)
+                    if (s.boxes[i].high[k] - s.boxes[i].low[k] > edge * (1 + 1e-6) + 1e-4) {
+                        longer++;
+                        break;
+                    }
+            CHECK_MSG(longer <= s.report.finest, "pose %d, edge %g: %llu of %llu boxes are longer, %llu are finest voxels", which, edge, (unsigned long long)longer,
+                      (unsigned long long)s.count, (unsigned long long)s.report.finest);
+            CHECK_MSG(s.count <= before && (edge != 0 || s.report.finest == s.count), "pose %d: more nodes for longer ones", which);
+            before = s.count;
+            svo_selection_free(&s);
+        }
+        world_free(&w);
+    }
+}
+
 TEST(no_gap_under_any_pose)
 {
     svo_error err = {0};
@@ -337,14 +368,15 @@ TEST(no_gap_under_any_pose)
         world_make(&w, which, &place);
         if (test_failed()) return;
         for (int m = 0; m < 2 && !test_failed(); m++)
-            for (int whole = 0; whole < 2 && !test_failed(); whole++) {
+            for (int whole = 0; whole < 3 && !test_failed(); whole++) {
                 svo_unpose_options o = {.select = looking(whole != 0), .method = m == 0 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT};
+                if (whole == 2) o.select.edge = 6, o.most_cells = 64; /* coarser nodes, and few cells of each */
                 svo_unposed *u;
                 svo_unpose_report r;
                 CHECK_OK(svo_unpose(&w.scene, &o, &u, &r, &err));
                 CHECK_U64(r.select.overflowed, 0);
                 CHECK_OK(svo_view_validate(svo_unposed_view(u), NULL, &err));
-                if (whole) CHECK_U64(r.select.selected, w.count);
+                if (whole == 1) CHECK_U64(r.select.selected, w.count);
                 check_covered(&w, svo_unposed_view(u), which, m == 0 ? "resize" : "emit", &seed);
                 svo_unposed_free(u);
             }

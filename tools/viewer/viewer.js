@@ -476,8 +476,8 @@ function panel() {
     const rows = [["format", s.format], ["bytes", s.bytes], ["voxels", s.voxels], ["nodes", s.nodes], ["depth", s.depth]];
     if (s.bytes_per_voxel) rows.push(["bytes a voxel", s.bytes_per_voxel]);
     if (meta.instance_count > 1) rows.push(["instances", meta.instance_count], ["assets", meta.assets.length]);
-    if (meta.dropped_levels > 0) rows.push(["shown", "to level " + deepest + " of " + s.depth + ", " + meta.dropped_levels + " finest left out: too much for a page"]);
-    if (meta.posed > 0) rows.push(["poses", "not drawn: " + meta.posed + (meta.posed === 1 ? " instance is" : " instances are") + " shown without pose"]);
+    if (meta.dropped_levels > 0) rows.push(["shown", "to level " + deepest + " of " + (deepest + meta.dropped_levels) + ", " + meta.dropped_levels + " finest left out: too much for a page"]);
+    if (meta.rested > 0) rows.push(["poses", "not drawn: " + meta.rested + (meta.rested === 1 ? " instance is" : " instances are") + " shown without pose"]);
     table("File", rows);
     table("Attributes", (s.attributes || []).map(a => [a.name, a.encoding || a.kind || "", a.bytes !== undefined ? a.bytes : ""]));
     table("Levels", (s.levels || []).map(l => [l.level, l.nodes].concat(l.stored !== undefined ? [l.stored] : [])));
