@@ -61,6 +61,8 @@ svo_result fmt_bytes_open_spooled(const char *path, fmt_bytes *out, svo_error *e
 void fmt_bytes_close(fmt_bytes *b);
 /* SVO_IO when the file that was opened has another size or time of change now. */
 svo_result fmt_bytes_unchanged(const char *path, const fmt_bytes *b, svo_error *err);
+/* Size of a regular file, which is not opened; 0 when there is none. */
+uint64_t fmt_file_bytes(const char *path);
 /* Part of the bytes of a MAPPED file need not stay in this process's memory: they are read from the file again when they are
  * used again. */
 void fmt_bytes_forget(const void *bytes, uint64_t size);

@@ -152,6 +152,12 @@ svo_result fmt_bytes_unchanged(const char *path, const fmt_bytes *b, svo_error *
     return svo_fail(err, SVO_IO, "%s changed while it was read; try again when it is complete", path);
 }
 
+uint64_t fmt_file_bytes(const char *path)
+{
+    struct stat s;
+    return stat(path, &s) == 0 && S_ISREG(s.st_mode) ? (uint64_t)s.st_size : 0;
+}
+
 void fmt_bytes_forget(const void *bytes, uint64_t size)
 {
     const uintptr_t page = (uintptr_t)sysconf(_SC_PAGESIZE), begin = ((uintptr_t)bytes + page - 1) / page * page, end = ((uintptr_t)bytes + (uintptr_t)size) / page * page;

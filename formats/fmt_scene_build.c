@@ -284,9 +284,10 @@ static svo_result load_description(fmt_scene_build *b, const char *path, const f
         e->info.name = j->assets[i].name;
         e->info.file = j->assets[i].file;
         e->info.source = "";
-        if (!e->used) continue;
         e->path = beside(b, path, j->assets[i].file);
         if (e->path == NULL) return fmti_scene_no_memory(err);
+        if (!e->used) e->info.source_bytes = fmt_file_bytes(e->path);
+        if (!e->used) continue;
         SVO_TRY(about(e->info.file, open_file(b, e, err), err));
         meshes += e->is_mesh;
         fmti_scene_progress(b, i + 1);

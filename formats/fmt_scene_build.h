@@ -33,7 +33,7 @@ fmt_scene_build_options fmt_default_scene_build_options(void); /* depth 10 */
 typedef struct fmt_scene_build_asset {
     const char *name, *file; /* file: as in the description, or the last part of the scene's own path */
     const char *source;      /* "svdag", "svo", "mesh" */
-    uint64_t source_bytes;   /* of the file; 0 for meshes inside a glTF scene */
+    uint64_t source_bytes;   /* of the file, also where it was not opened; 0 for meshes inside a glTF scene */
     char hash[33];           /* of what was read: the content hash of our files, else of the mesh file's bytes; "" when not opened */
     uint32_t depth;
     uint64_t voxels;

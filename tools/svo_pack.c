@@ -72,21 +72,30 @@ static void report_constants(json_t *list, const svo_scene *s)
 
 static bool kept_mesh(const fmt_scene_build_asset *a) { return a->source != NULL && strcmp(a->source, "mesh") == 0 && a->packed.fate == SVO_PACK_KEPT; }
 
+/* Headers, tables and alignment of a .svdag with colours and normals, which do not grow with levels, and by how much the rest grows: for 11 models at depths
+ * 1 to 9 the estimate is 1.04 of the truth in the median, and 0.42 to 2.4 in four of five cases. */
+#define FIXED_BYTES 1280
+#define LEVEL_GROWTH 3.4
+
 /* Meshes that are small in the scene have fewer levels than the largest. */
 static void report_levels(json_t *list, const fmt_scene_build_asset *assets, uint32_t count, const uint64_t *bytes)
 {
     uint32_t deepest = 0;
-    uint64_t levels = 0, saved = 0;
+    uint64_t levels = 0;
+    double saved = 0;
     for (uint32_t i = 0; i < count; i++)
         if (kept_mesh(&assets[i]) && assets[i].depth > deepest) deepest = assets[i].depth;
     for (uint32_t i = 0; i < count; i++) {
         if (!kept_mesh(&assets[i]) || assets[i].depth == deepest) continue;
         uint32_t fewer = deepest - assets[i].depth;
+        double growth = 1;
+        for (uint32_t l = 0; l < fewer; l++) growth *= LEVEL_GROWTH;
         levels += fewer;
-        saved += bytes[assets[i].packed.packed] * ((UINT64_C(1) << 2 * fewer) - 1);
+        saved += fmax((double)bytes[assets[i].packed.packed] - FIXED_BYTES, 64) * (growth - 1);
     }
     if (levels != 0)
-        cli_put_text(left_out(list, "levels of meshes that are small in the scene, below what the largest shows", levels, "levels", saved), "bytes_of", "estimate: four times as much a level");
+        cli_put_text(left_out(list, "levels of meshes that are small in the scene, below what the largest shows", levels, "levels", (uint64_t)saved), "bytes_of",
+                     "estimate: 3.4 times as much a level, but for headers");
 }
 
 #define INSTANCE_BYTES 60 /* in the file, without a name */
