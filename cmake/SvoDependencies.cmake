@@ -31,6 +31,12 @@ if(SVO_WITH_OPENVDB)
   find_library(TBB_LIBRARY tbb)
 endif()
 
+# Optional: svo-compare reads OpenEXR pictures (svo-render writes them by itself).
+option(SVO_WITH_OPENEXR "Compare OpenEXR pictures where libopenexr is found" ON)
+if(SVO_WITH_OPENEXR)
+  find_package(OpenEXR 3 QUIET CONFIG)
+endif()
+
 # Optional: svo-skeleton --repair cgal and --tessellate openmesh. CGAL's Polygon_mesh_processing is GPL: a svo-skeleton with it is GPL as a whole (docs/licences.md).
 option(SVO_WITH_CGAL "Offer CGAL's repair of polygon soups in svo-skeleton where CGAL is found (GPL)" ON)
 option(SVO_WITH_OPENMESH "Offer OpenMesh's splitting of edges in svo-skeleton where OpenMesh is found" ON)

@@ -103,6 +103,12 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
     return fmt_image_decode_paged(bytes, size, false, max_pixels, a, NULL, out, err);
 }
 
+bool fmt_image_is_known(const uint8_t *bytes, uint64_t size)
+{
+    const char *name;
+    return size != 0 && (sniff(bytes, size, &name) != NULL || name != NULL);
+}
+
 bool fmt_image_can_have_alpha(const uint8_t *bytes, uint64_t size)
 {
     const char *name;

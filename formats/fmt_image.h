@@ -17,6 +17,8 @@ svo_result fmt_image_decode(const uint8_t *bytes, uint64_t size, uint64_t max_pi
 svo_result fmt_image_decode_paged(const uint8_t *bytes, uint64_t size, bool mapped, uint64_t max_pixels, const svo_allocator *a, svo_pager *pager, svo_image *out,
                                   svo_error *err);
 svo_result fmt_image_read(const char *path, uint64_t max_pixels, const svo_allocator *a, svo_image *out, svo_error *err);
+/* Do the bytes begin as some image, one that is read or one that is not? (TGA has no signature: what could be one is.) */
+bool fmt_image_is_known(const uint8_t *bytes, uint64_t size);
 /* False for a JPEG and for a PNG that states no alpha: all their pixels are opaque. */
 bool fmt_image_can_have_alpha(const uint8_t *bytes, uint64_t size);
 void fmt_image_free(const svo_allocator *a, svo_image *image);

@@ -180,9 +180,16 @@ void fmti_look_at_places(fmt_scene_build *b, const svo_place *places, uint64_t c
 
 /* ---- a description in JSON ---- */
 
+static svo_result open_bytes(const fmt_scene_build *b, const char *path, fmt_bytes *out, svo_error *err)
+{
+    SVO_TRY(fmt_bytes_open(path, 0, b->allocator, out, err));
+    if (b->options.file_read != NULL && strcmp(path, "-") != 0) out->beside = b->options.file_read(b->options.file_read_user, path, out->data, out->size, out->mapped);
+    return SVO_OK;
+}
+
 static svo_result open_file(fmt_scene_build *b, fmti_entry *e, svo_error *err)
 {
-    SVO_TRY(fmt_bytes_open(e->path, 0, b->allocator, &e->bytes, err));
+    SVO_TRY(open_bytes(b, e->path, &e->bytes, err));
     e->info.source_bytes = e->bytes.size;
     switch (content_of(&e->bytes)) {
     case CONTENT_SVDAG: return open_svdag(b, e, err);
@@ -351,7 +358,7 @@ static svo_result load(fmt_scene_build *b, const char *path, svo_error *err)
 {
     fmt_bytes file;
     fmti_scene_phase(b, "read");
-    SVO_TRY(fmt_bytes_open(path, 0, b->allocator, &file, err));
+    SVO_TRY(open_bytes(b, path, &file, err));
     fmt_hash_hex(file.data, file.size, b->hash);
     content c = content_of(&file);
     svo_result result;

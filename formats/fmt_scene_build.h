@@ -3,6 +3,7 @@
 #ifndef FMT_SCENE_BUILD_H
 #define FMT_SCENE_BUILD_H
 
+#include "fmt_file.h"
 #include "svo_dag.h"
 #include "svo_pack.h"
 #include "svo_voxelize.h"
@@ -27,6 +28,8 @@ typedef struct fmt_scene_build_options {
     void (*phase)(void *user, const char *name); /* called when a phase begins: read, voxelize, pack; may be NULL */
     void (*progress)(void *user, uint64_t done, uint64_t total); /* called in the phases read and voxelize: assets that are done; may be NULL */
     void *user;
+    fmt_file_read_fn file_read; /* told of every file that is read, the scene itself too; of some twice. NULL: not wanted */
+    void *file_read_user;
 } fmt_scene_build_options;
 fmt_scene_build_options fmt_default_scene_build_options(void); /* depth 10 */
 

@@ -11,7 +11,7 @@
 fmt_import_options fmti_import_options(const fmt_scene_build *b, bool skip_images)
 {
     fmt_import_options o = {.allocator = b->allocator, .skip_images = skip_images, .threads = b->options.voxelize.threads,
-                            .warnings = skip_images ? NULL : b->options.voxelize.warnings};
+                            .warnings = skip_images ? NULL : b->options.voxelize.warnings, .file_read = b->options.file_read, .file_read_user = b->options.file_read_user};
     return o;
 }
 

@@ -105,7 +105,7 @@ static void emit_ninja(emitter *e, const build_plan *p, const build_options *o)
         const build_step *s = &p->steps[i];
         put(e, "build ");
         ninja_path(e, s->output);
-        put(e, s->kind == BUILD_VOXELIZE ? ": run_with_depfile" : ": run");
+        put(e, s->kind != BUILD_COMPRESS ? ": run_with_depfile" : ": run");
         for (uint32_t k = 0; k < s->input_count; k++) put(e, " "), ninja_path(e, s->inputs[k]);
         if (s->kind == BUILD_PACK) {
             put(e, " |");
@@ -121,7 +121,7 @@ static void emit_ninja(emitter *e, const build_plan *p, const build_options *o)
         put(e, build_words[s->kind]);
         put(e, " ");
         ninja_path(e, s->asset);
-        if (s->kind == BUILD_VOXELIZE) put(e, "\n  dep = "), ninja_path(e, s->depfile);
+        if (s->kind != BUILD_COMPRESS) put(e, "\n  dep = "), ninja_path(e, s->depfile);
         put(e, "\n");
     }
 }

@@ -301,7 +301,7 @@ char **build_arguments(const build_step *s, const char *tool_path, uint64_t thre
     a[n++] = text("--force");
     a[n++] = text("--quiet");
     a[n++] = text("--no-config"); /* the manifest alone says what is made */
-    if (s->kind == BUILD_VOXELIZE) a[n++] = text("--depfile=%s", s->depfile);
+    if (s->kind != BUILD_COMPRESS) a[n++] = text("--depfile=%s", s->depfile);
     if (bookkeeping) a[n++] = text("--report=%s", s->report);
     if (threads != 0) a[n++] = text("--threads=%llu", (unsigned long long)threads);
     if (memory != 0) a[n++] = text("--memory=%llu", (unsigned long long)memory);

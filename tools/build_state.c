@@ -8,7 +8,7 @@
 #include "build.h"
 #include "fmt_file.h"
 
-enum { STATE_VERSION = 1, STATE_BYTES = 1 << 26 };
+enum { STATE_VERSION = 2, STATE_BYTES = 1 << 26 };
 
 static bool file_stamp(const char *path, uint64_t *size, int64_t time[2])
 {
@@ -139,7 +139,6 @@ bool build_step_current(build_step *s)
     json_t *files = json_object_get(state, "files"), *made = json_object_get(state, "made");
     bool touched = false;
     bool current = wanted != NULL && had != NULL && strcmp(wanted, had) == 0 && json_integer_value(json_object_get(state, "state")) == STATE_VERSION &&
-                   json_is_true(json_object_get(state, "all_files_known")) &&
                    json_array_size(files) != 0 && json_is_object(made) && same_file(made, &touched);
     size_t i;
     json_array_foreach(files, i, f) current = current && same_file(f, &touched);
@@ -182,32 +181,6 @@ static void read_depfile(const char *path, json_t *paths)
     fmt_bytes_close(&b);
 }
 
-static bool ends_with(const char *text, const char *end)
-{
-    size_t n = strlen(text), m = strlen(end);
-    return n >= m && strcmp(text + n - m, end) == 0;
-}
-
-/* Append the packed assets that a scene names. False when it reads more than these: a glTF scene, or one with meshes. */
-static bool read_scene(const char *path, json_t *paths)
-{
-    json_t *scene = json_load_file(path, 0, NULL), *list = json_object_get(scene, "assets"), *a;
-    const char *slash = strrchr(path, '/');
-    bool known = json_is_array(list);
-    size_t i;
-    json_array_foreach(list, i, a) {
-        const char *file = json_string_value(json_object_get(a, "file"));
-        if (file == NULL || !(ends_with(file, ".svdag") || ends_with(file, ".svo"))) {
-            known = false;
-            continue;
-        }
-        json_t *whole = file[0] == '/' || slash == NULL ? json_string(file) : json_sprintf("%.*s/%s", (int)(slash - path), path, file);
-        if (whole == NULL || json_array_append_new(paths, whole) != 0) known = false;
-    }
-    json_decref(scene);
-    return known;
-}
-
 svo_result build_step_note(build_step *s, svo_error *err)
 {
     json_t *paths = json_array(), *files = json_array(), *state = json_object(), *p;
@@ -216,9 +189,6 @@ svo_result build_step_note(build_step *s, svo_error *err)
     read_depfile(s->depfile, paths);
     if (json_array_size(paths) == 0)
         for (uint32_t k = 0; k < s->input_count; k++) json_array_append_new(paths, json_string(s->inputs[k]));
-    bool known = true;
-    for (uint32_t k = 0; s->kind == BUILD_PACK && k < s->input_count; k++) known = read_scene(s->inputs[k], paths) && known;
-    json_object_set_new(state, "all_files_known", json_boolean(known));
     json_array_foreach(paths, i, p) {
         json_t *f = json_is_string(p) ? describe(json_string_value(p)) : NULL;
         if (f == NULL) r = svo_fail(err, SVO_IO, "%.150s cannot be read, or changes while it is read", json_is_string(p) ? json_string_value(p) : "a file that is not named in UTF-8");

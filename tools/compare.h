@@ -9,8 +9,9 @@
 /* An input whose kind has been recognised by its content. */
 typedef struct compare_input {
     const char *path; /* "-" is stdin */
-    bool image;
-    fmt_kind kind;  /* when it is no image */
+    bool image;     /* of 8 bits, or nothing that is known */
+    bool floats;    /* an OpenEXR picture */
+    fmt_kind kind;  /* when it is neither */
     bool loaded;    /* bytes holds the file */
     fmt_bytes bytes;
 } compare_input;
@@ -19,7 +20,7 @@ typedef struct compare_input {
 svo_result compare_load(compare_input *in, const cli *c, const svo_allocator *a, svo_error *err);
 
 typedef struct compare_tolerance {
-    double psnr, ssim, max_diff;
+    double psnr, ssim, max_diff, float_diff;
     bool psnr_set, ssim_set, max_diff_set;
     double delta_e, degrees, value;
     bool geometry_only;
@@ -37,7 +38,11 @@ typedef struct compare_job {
 
 void compare_reason(compare_job *j, const char *format, ...) SVO_PRINTF(2, 3);
 
+/* Is this an image that can be decoded? The message says what else it could have been. */
+svo_result compare_can_read(compare_job *j, compare_input *in, svo_error *err);
 svo_result compare_images(compare_job *j, svo_error *err);
+/* OpenEXR pictures, plane by plane. */
+svo_result compare_floats(compare_job *j, svo_error *err);
 svo_result compare_octrees(compare_job *j, svo_error *err);
 /* .skel and .svscene: validity of both, then chunk by chunk. */
 svo_result compare_containers(compare_job *j, svo_error *err);

@@ -7,10 +7,21 @@
 /* Name the file in a decoder's message. */
 static svo_result read_image(compare_input *in, compare_job *j, svo_image *out, svo_error *err)
 {
-    if (!in->loaded) return fmt_image_read(in->path, 0, j->allocator, out, err);
+    SVO_TRY(compare_load(in, j->c, j->allocator, err));
     svo_error inner = {0};
+    const char *name = strcmp(in->path, "-") == 0 ? "stdin" : in->path;
+    if (!fmt_image_is_known(in->bytes.data, in->bytes.size))
+        return svo_fail(err, SVO_INVALID_DATA, "%.150s: %s", name, in->bytes.size == 0 ? "the file is empty" : "neither an .svo, .svdag, .svscene or .skel nor an image (PNG, JPEG, BMP, TGA, OpenEXR)");
     svo_result r = fmt_image_decode(in->bytes.data, in->bytes.size, 0, j->allocator, out, &inner);
-    return r == SVO_OK ? r : svo_fail(err, r, "stdin: %s", inner.message);
+    return r == SVO_OK ? r : svo_fail(err, r, "%.150s: %s", name, inner.message);
+}
+
+svo_result compare_can_read(compare_job *j, compare_input *in, svo_error *err)
+{
+    svo_image image;
+    SVO_TRY(read_image(in, j, &image, err));
+    fmt_image_free(j->allocator, &image);
+    return SVO_OK;
 }
 
 static void check_tolerances(compare_job *j, const svo_compare_image *r)

@@ -57,6 +57,21 @@ static void print_image(const json_t *o)
            100 * number(o, "different_share"), count(o, "max_difference"));
 }
 
+static void print_planes(const json_t *o)
+{
+    const json_t *p;
+    size_t i;
+    json_array_foreach(json_object_get(o, "planes"), i, p) {
+        if (json_object_get(p, "type") == NULL) continue; /* told among the reasons */
+        printf("%-10s %llu differ", text(p, "name"), count(p, "different"));
+        if (strcmp(text(p, "type"), "float") == 0) printf("; by up to %.6g, root of mean squares %.6g", number(p, "max"), number(p, "rmse"));
+        if (count(p, "unmatched") != 0) printf("; %llu are a number in one alone", count(p, "unmatched"));
+        const json_t *at = json_object_get(p, "worst");
+        if (at != NULL) printf(", most at pixel %lld, %lld", (long long)json_integer_value(json_array_get(at, 0)), (long long)json_integer_value(json_array_get(at, 1)));
+        putchar('\n');
+    }
+}
+
 static void print_octree(const json_t *o)
 {
     const json_t *g = json_object_get(o, "geometry");
@@ -107,6 +122,7 @@ void compare_print(const compare_job *j)
     print_side(o, "a");
     print_side(o, "b");
     print_image(o);
+    print_planes(o);
     if (json_object_get(o, "geometry") != NULL) print_octree(o);
     if (json_object_get(o, "chunks") != NULL) print_chunks(o);
     if (json_object_get(o, "skeleton") != NULL) print_skeleton(o);

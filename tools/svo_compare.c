@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "compare.h"
+#include "exr_read.h"
 
 static const char DETAILS[] =
     "A is the reference: colour differences are weighted by its chroma.\n"
@@ -12,6 +13,8 @@ static const char DETAILS[] =
     "Images (PNG, JPEG, BMP, TGA) must have the same size. PSNR is over the stored 8-bit values, of each channel and of all "
     "(alpha counts where one of the images has any). SSIM is that of Wang et al. 2004 on luma. Without a tolerance any "
     "difference counts; with one or more of them, these decide.\n"
+    "\n"
+    "OpenEXR pictures of the same size are compared plane by plane: floats by their difference, integers (labels) as equal or not. Infinite or not a number in both is no difference.\n"
     "\n"
     "Octrees (.svo and .svdag in any mix) are compared by voxels: which of them only one has, and how far the attributes of the "
     "common ones are apart: colours as delta E CIE94 (graphic arts, CIELAB D65), normals in degrees, metallic and roughness as "
@@ -32,6 +35,8 @@ static const cli_option options[] = {
      .help = "Images: accept a mean SSIM of at least this.", .group = "Tolerances"},
     {.name = "max-diff", .kind = CLI_U64, .value = &max_diff, .argument = "N", .max = 255, .seen = &set_max_diff, .no_default = true,
      .help = "Images: accept differences of up to this in every channel of every pixel.", .group = "Tolerances"},
+    {.name = "float-diff", .kind = CLI_DOUBLE, .value = &tolerance.float_diff, .argument = "X", .max = INFINITY,
+     .help = "OpenEXR pictures: accept differences of up to this in every float of every pixel.", .group = "Tolerances"},
     {.name = "deltaE", .kind = CLI_DOUBLE, .value = &tolerance.delta_e, .argument = "X", .max = INFINITY,
      .help = "Octrees: accept colours that are at most this far apart, in every voxel.", .group = "Tolerances"},
     {.name = "deg", .kind = CLI_DOUBLE, .value = &tolerance.degrees, .argument = "X", .max = 180,
@@ -47,7 +52,7 @@ static const cli_option options[] = {
 static const cli_tool tool = {
     .name = "svo-compare",
     .summary = "Compare two images, octrees, scenes or skeletons; exit 7 where they differ beyond tolerance.",
-    .synopsis = "A B [--json] [--psnr DB] [--ssim S] [--max-diff N] [--deltaE X] [--deg X] [--value X] [--geometry-only]",
+    .synopsis = "A B [--json] [--psnr DB] [--ssim S] [--max-diff N] [--float-diff X] [--deltaE X] [--deg X] [--value X] [--geometry-only]",
     .options = options,
     .option_count = sizeof options / sizeof *options,
     .details = DETAILS,
@@ -92,13 +97,15 @@ static svo_result recognise(compare_input *in, const cli *c, const svo_allocator
         if (r != SVO_OK) return r;
     }
     in->kind = (fmt_kind)fmt_container_kind(head, got);
-    in->image = in->kind == 0;
+    in->floats = in->kind == 0 && fmt_exr_is(head, got);
+    in->image = in->kind == 0 && !in->floats;
     return SVO_OK;
 }
 
 static const char *kind_name(const compare_input *in)
 {
     if (in->image) return "image";
+    if (in->floats) return "OpenEXR picture";
     switch (in->kind) {
     case FMT_KIND_SVO:
     case FMT_KIND_SVDAG: return "octree";
@@ -121,17 +128,14 @@ static svo_result run(compare_job *j, svo_error *err)
     cli_put_text(j->json, "kind", kind);
     if (strcmp(kind, kind_name(&j->in[1])) != 0) {
         /* An image may as well be a damaged file: say that first. */
-        for (int i = 0; i < 2; i++) {
-            if (!j->in[i].image) continue;
-            svo_image image;
-            SVO_TRY(fmt_image_read(j->in[i].path, 0, j->allocator, &image, err));
-            fmt_image_free(j->allocator, &image);
-        }
+        for (int i = 0; i < 2; i++)
+            if (j->in[i].image) SVO_TRY(compare_can_read(j, &j->in[i], err));
         return svo_fail(err, SVO_UNSUPPORTED, "%s is of kind %s and %s of kind %s; they cannot be compared", j->in[0].path, kind,
                         j->in[1].path, kind_name(&j->in[1]));
     }
     cli_phase(j->c, "compare");
     if (j->in[0].image) return compare_images(j, err);
+    if (j->in[0].floats) return compare_floats(j, err);
     if (strcmp(kind, "octree") == 0) return compare_octrees(j, err);
     return compare_containers(j, err);
 }

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "cli_quality.h"
+#include "cli_sources.h"
 #include "fmt_scene.h"
 #include "fmt_scene_build.h"
 
@@ -13,7 +14,9 @@ typedef struct pack_options {
     const char *color, *normal, *attributes, *animation;
     double time;
     int surface, fill, lod, skins;
-    bool has_depth, has_size, has_distance, has_budget, has_animation, has_time;
+    bool has_depth, has_size, has_distance, has_budget, has_animation, has_time, has_beside;
+    const char *depfile;
+    int beside;
 } pack_options;
 
 /* --view-distance: a voxel is at most a pixel of a picture of this height and field of view. */
@@ -23,6 +26,7 @@ typedef struct pack_options {
 static const char *const surfaces[] = {"conservative", "thin", NULL};
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const skins[] = {"pose", "bake", NULL};
+static const char *const beside[] = {"D", NULL}; /* -MD */
 static const char *const lods[] = {"all", "stored", "none", NULL};
 
 static void next_phase(void *user, const char *name) { cli_phase(user, name); }
@@ -201,7 +205,9 @@ static svo_result write_scene(cli *c, const fmt_scene_build *b, const svo_alloca
     const svo_scene *s = fmt_scene_build_scene(b);
     fmt_scene_bytes bytes;
     uint64_t *asset_bytes = svo_calloc(a, s->asset_count, sizeof *asset_bytes), total;
-    char *provenance = cli_provenance(c, cli_options_json(c, false), inputs_of(c, b));
+    json_t *options = cli_options_json(c, false);
+    json_object_del(options, "depfile"), json_object_del(options, "depfile-beside"); /* the same bytes with and without */
+    char *provenance = cli_provenance(c, options, inputs_of(c, b));
     svo_result result = provenance == NULL || (asset_bytes == NULL && s->asset_count != 0) ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the report") : SVO_OK;
     cli_phase(c, "write");
     if (result == SVO_OK) result = fmt_scene_write(out, s, provenance, a, &bytes, asset_bytes, err);
@@ -283,8 +289,9 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
     return SVO_OK;
 }
 
-static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_error *err)
+static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, const char *depfile, svo_error *err)
 {
+    sources read = {0};
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     o->voxelize.threads = o->dag.threads = (uint32_t)c->threads;
@@ -298,9 +305,11 @@ static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_e
     SVO_TRY(fmt_output_open(c->output, c->force, &out, err));
     fmt_scene_build *b = NULL;
     svo_result result = budget != 0 ? fit_budget(c, o, budget, err) : SVO_OK;
+    if (depfile != NULL) o->file_read = sources_add, o->file_read_user = &read;
     if (result == SVO_OK) result = fmt_scene_build_open(c->inputs[0], o, &b, err);
     if (result != SVO_OK) {
         fmt_output_discard(out);
+        sources_free(&read);
         if (result == SVO_OUT_OF_MEMORY && c->memory != 0 && svo_limit_peak(&limit) > 0) {
             svo_error inner = *err;
             return svo_fail(err, SVO_LIMIT, "%s (--memory allows %llu bytes)", inner.message, (unsigned long long)c->memory);
@@ -308,7 +317,9 @@ static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_e
         return result;
     }
     result = write_scene(c, b, &limit.base, out, err);
+    if (result == SVO_OK && depfile != NULL) result = sources_depfile(&read, depfile, c->output, c->force, err);
     fmt_scene_build_close(b);
+    sources_free(&read);
     return result;
 }
 
@@ -342,6 +353,9 @@ int main(int argc, char **argv)
         {.name = "skins", .kind = CLI_CHOICE, .value = &o.skins, .choices = skins, .argument = "KIND",
          .help = "Skinned meshes: an octree with bones and a pose, or baked as they stand.", .group = "Scene"},
         {.name = "page", .kind = CLI_U64, .value = &o.page, .argument = "N", .min = 1, .max = 1 << 24, .help = "Most instances in a page.", .group = "Scene"},
+        {.name = "depfile", .kind = CLI_TEXT, .value = &o.depfile, .argument = "FILE", .no_default = true, .help = "Write a rule for Make or Ninja that names every file read.", .group = "Builds"},
+        {.name = "depfile-beside", .letter = 'M', .kind = CLI_CHOICE, .value = &o.beside, .choices = beside, .argument = "D", .seen = &o.has_beside, .no_default = true,
+         .help = "-MD: write that rule into OUT.d, that is beside the output, with .d after its name.", .group = "Builds"},
     };
     const cli_tool tool = {
         .name = "svo-pack",
@@ -365,6 +379,7 @@ int main(int argc, char **argv)
     if (o.has_budget && o.has_size) return cli_usage(&c, "--budget excludes --voxel-size");
     if (o.has_budget && strcmp(c.inputs[0], "-") == 0) return cli_usage(&c, "--budget reads the scene several times: it cannot come from stdin");
     if ((o.has_animation || o.has_time) && o.skins == 1) return cli_usage(&c, "--animation and --time pose skins: they exclude --skins bake");
+    if ((code = cli_take_depfile(&c, o.has_beside, &o.depfile)) >= 0) return code;
     if (o.has_distance) o.voxel_size = 2 * o.view_distance * tan(0.5 * VIEW_FOV) / VIEW_PIXELS;
     if (o.has_budget && !o.has_depth) o.depth = 16;
     if ((code = cli_take_channels(&c, o.attributes, &build.voxelize.channels)) >= 0) return code;
@@ -380,5 +395,5 @@ int main(int argc, char **argv)
     build.dag.lod = o.lod != 2;
     build.dag.averaged = o.lod == 0;
     svo_error err = {0};
-    return cli_end(&c, run(&c, &build, o.has_budget ? o.budget : 0, &err), &err);
+    return cli_end(&c, run(&c, &build, o.has_budget ? o.budget : 0, o.depfile, &err), &err);
 }

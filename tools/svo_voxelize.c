@@ -15,7 +15,7 @@
 #include "voxelize_join.h"
 #include "voxelize_points.h"
 #include "voxelize_shard.h"
-#include "voxelize_sources.h"
+#include "cli_sources.h"
 
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const disks[] = {"fast", "small", NULL};
@@ -466,14 +466,7 @@ int main(int argc, char **argv)
     if (c.output == NULL && !o.key && !o.dry_run) return cli_usage(&c, "no output given (-o OUT)");
     char why[200];
     if (o.shard != NULL && !parse_shard(o.shard, &o.shard_index, &o.shard_count, why, sizeof why)) return cli_usage(&c, "--shard: %s", why);
-    static char depfile[4096 + 3];
-    if (o.has_beside && o.depfile != NULL) return cli_usage(&c, "--depfile and -MD exclude each other");
-    if (o.has_beside && !o.key && c.output != NULL) {
-        if (strlen(c.output) > 4096) return cli_usage(&c, "the name of the output is too long");
-        o.depfile = strcat(strcpy(depfile, c.output), ".d");
-    }
-    if (o.depfile != NULL && !o.key && !o.dry_run && strcmp(c.output, "-") == 0) return cli_usage(&c, "--depfile needs an output with a name");
-    if (o.depfile != NULL && c.output != NULL && strcmp(c.output, o.depfile) == 0) return cli_usage(&c, "-o and --depfile name the same file");
+    if (!o.key && !o.dry_run && (code = cli_take_depfile(&c, o.has_beside, &o.depfile)) >= 0) return code;
     if ((code = cli_take_axes(&c, &o.axes)) >= 0) return code;
     svo_error err = {0};
     if (o.temp != NULL && !o.key) { /* a folder that could not be used is refused also where nothing would be put there */

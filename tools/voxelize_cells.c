@@ -8,7 +8,7 @@
 #include "fmt_svo.h"
 #include "fmt_volume.h"
 #include "svo_math.h"
-#include "voxelize_sources.h"
+#include "cli_sources.h"
 
 bool voxelize_is_cells(const char *path)
 {

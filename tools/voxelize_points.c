@@ -12,7 +12,7 @@
 #include "svo_bin.h"
 #include "svo_morton.h"
 #include "svo_samples.h"
-#include "voxelize_sources.h"
+#include "cli_sources.h"
 
 enum { BATCH = 1 << 12 };
 

@@ -296,10 +296,16 @@ def test_scenes(folder):
     support.cube_obj(folder / "m1.obj", size=3)
     s = states(build(path))
     check(s[("a0", "compress")] == "current" and s[("a1", "compress")] == "built" and s[("all", "pack")] == "built", s)
-    # a scene that names a mesh may read what is not known here: it is packed every time
+    # a scene that names a mesh, and by it a material
+    support.cube_obj(folder / "m0.obj", color=(1, 0, 0))
+    build(path)
     (folder / "scene.json").write_text(json.dumps({"assets": [{"name": "a", "file": "m0.obj"}], "instances": [{"asset": "a"}]}))
     path = manifest(folder, assets, scenes=[{"name": "all", "file": "scene.json", "pack": {"depth": 4}}])
-    check(states(build(path))[("all", "pack")] == "built" and states(build(path))[("all", "pack")] == "built")
+    check(states(build(path))[("all", "pack")] == "built" and states(build(path))[("all", "pack")] == "current")
+    red = (folder / "out/all.svscene").read_bytes()
+    (folder / "m0.mtl").write_text("newmtl m\nKd 0 1 0\n")
+    check(states(build(path))[("all", "pack")] == "built" and (folder / "out/all.svscene").read_bytes() != red, "a material has changed")
+    check(states(build(path))[("all", "pack")] == "current")
 
 
 def emit_folder(folder, name):

@@ -1,6 +1,8 @@
 """svo-compare on files that the other tools made, and on images made here."""
 
 import math
+import struct
+import zlib
 
 import support
 from support import check, run, tool
@@ -54,6 +56,95 @@ def test_images(folder):
     check(compare(a, b, code=7)["psnr_db"]["a"] is not None, "alpha")
     # from stdin
     check(compare("-", a, stdin=a.read_bytes())["identical"], "stdin")
+
+
+def exr(path, width, height, planes, compression=0, origin=(0, 0)):
+    """An OpenEXR file of its own: planes {name: (type, rows)}, type 0 integers, 1 halves, 2 floats; compression 0 none, 2 each row by zlib."""
+    attribute = lambda name, kind, data: name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
+    names = sorted(planes)
+    x, y = origin
+    box = struct.pack("<4i", x, y, x + width - 1, y + height - 1)
+    channels = b"".join(n.encode() + b"\0" + struct.pack("<IB3xII", planes[n][0], 0, 1, 1) for n in names) + b"\0"
+    head = struct.pack("<II", 20000630, 2) + attribute("channels", "chlist", channels) + attribute("compression", "compression", bytes([compression])) + \
+        attribute("dataWindow", "box2i", box) + attribute("displayWindow", "box2i", box) + attribute("lineOrder", "lineOrder", b"\0") + \
+        attribute("pixelAspectRatio", "float", struct.pack("<f", 1)) + attribute("screenWindowCenter", "v2f", struct.pack("<ff", 0, 0)) + \
+        attribute("screenWindowWidth", "float", struct.pack("<f", 1)) + b"\0"
+    rows, offsets = b"", b""
+    for r in range(height):
+        data = b"".join(struct.pack("<%d%s" % (width, "Ief"[planes[n][0]]), *planes[n][1][r]) for n in names)
+        if compression:  # bytes of even places, then odd ones, as differences
+            split = data[0::2] + data[1::2]
+            packed = zlib.compress(bytes([split[0]] + [(split[i] - split[i - 1] + 128) & 255 for i in range(1, len(split))]))
+            data = packed if len(packed) < len(data) else data
+        offsets += struct.pack("<Q", len(head) + 8 * height + len(rows))
+        rows += struct.pack("<iI", y + r, len(data)) + data
+    path.write_bytes(head + offsets + rows)
+    return path
+
+
+def test_openexr(folder):
+    a, b = folder / "a.exr", folder / "b.exr"
+    rows = lambda f, w=7, h=5: [[f(x, y) for x in range(w)] for y in range(h)]
+    inf, nan = float("inf"), float("nan")
+    planes = {"R": (1, rows(lambda x, y: x / 8 + y)), "Z": (2, rows(lambda x, y: inf if x == 0 else nan if x == 1 else 0.1 * x * y)), "id": (0, rows(lambda x, y: 4294967295 - x * y))}
+    exr(a, 7, 5, planes)
+    r = tool("svo-compare", a, a, "--json")
+    if r.code == 5 and "OpenEXR" in r.err:
+        support.skip("built without OpenEXR")
+    check(r.code == 0 and r.json["identical"] and r.json["kind"] == "OpenEXR picture" and [p["name"] for p in r.json["planes"]] == ["R", "Z", "id"], r)
+    exr(b, 7, 5, planes, compression=2, origin=(-3, 11))
+    check(compare(a, b)["identical"], "the same pixels, compressed, elsewhere")
+    check(compare("-", a, stdin=b.read_bytes())["identical"], "stdin")
+    other = {n: (t, [list(row) for row in rows]) for n, (t, rows) in planes.items()}
+    other["Z"][1][3][2] += 0.25
+    other["Z"][1][4][6] -= 0.5
+    exr(b, 7, 5, other)
+    r = compare(a, b, code=7)
+    z = next(p for p in r["planes"] if p["name"] == "Z")
+    check(z["different"] == 2 and abs(z["max"] - 0.5) < 1e-6 and z["worst"] == [6, 4] and abs(z["rmse"] - math.sqrt((0.0625 + 0.25) / 25)) < 1e-6 and not r["identical"], r)
+    compare(a, b, "--float-diff", 0.51)
+    compare(a, b, "--float-diff", 0.49, code=7)
+    other["Z"][1][0][0] = 5.0
+    exr(b, 7, 5, other)
+    check("number in one" in compare(a, b, "--float-diff", 100, code=7)["reasons"][0])
+    exr(b, 7, 5, dict(planes, id=(0, rows(lambda x, y: 4294967295 - x * y - (x == 3 and y == 2)))))
+    check("1 labels" in compare(a, b, "--float-diff", 100, code=7)["reasons"][0])
+    exr(b, 7, 5, dict(planes, id=(2, planes["R"][1])))
+    check("integers" in compare(a, b, code=7)["reasons"][0])
+    exr(b, 7, 5, {"R": planes["R"], "Z": planes["Z"], "B": planes["R"]})
+    r = compare(a, b, code=7)
+    check([p["name"] for p in r["planes"]] == ["B", "R", "Z", "id"] and len(r["reasons"]) == 2 and not r["identical"], r)
+    exr(b, 5, 7, {"R": (1, rows(lambda x, y: 0, 5, 7))})
+    check("sizes" in compare(a, b, code=7)["reasons"][0])
+    # damaged, other kinds, nothing known
+    whole = a.read_bytes()
+    for length in range(4, len(whole), 37):
+        b.write_bytes(whole[:length])
+        check(tool("svo-compare", a, b).code == 3, length)
+    b.write_bytes(whole.replace(struct.pack("<4i", 0, 0, 6, 4), struct.pack("<4i", 0, 0, 0x7ffffff0, 0x7ffffff0)))
+    check(tool("svo-compare", a, b, "--memory", "200M").code in (3, 6), "enormous")
+    support.write_png(folder / "a.png", 7, 5, lambda x, y: (x, y, 0))
+    check(tool("svo-compare", a, folder / "a.png").code == 5)
+    (folder / "t.txt").write_text("hello\n")
+    (folder / "e.txt").write_text("")
+    for odd, word in (("t.txt", "neither"), ("e.txt", "empty")):
+        for pair in ((folder / odd, folder / "a.png"), (a, folder / odd), (folder / odd, folder / odd)):
+            r = tool("svo-compare", *pair)
+            check(r.code == 3 and odd in r.err and word in r.err, r)
+
+
+def test_pictures_of_svo_render(folder):
+    """Another light changes colours, and neither depth nor labels; a camera elsewhere all of them."""
+    octree(folder, "c.svo", support.cube_glb(folder / "c.glb", texture=noise_texture()))
+    shot = lambda name, *more: run("svo-render", folder / "c.svo", "-o", folder / name, "--size", "60x50", *more)
+    shot("a.exr"), shot("b.exr", "--light", "1,0.2,0.3"), shot("c.exr", "--eye", "2,2,3")
+    r = tool("svo-compare", folder / "a.exr", folder / "b.exr", "--json")
+    if r.code == 5 and "OpenEXR" in r.err:
+        support.skip("built without OpenEXR")
+    changed = lambda r: {p["name"] for p in r["planes"] if p["different"]}
+    check(r.code == 7 and changed(r.json) <= {"R", "G", "B"} and changed(r.json), r)
+    check(len(changed(compare(folder / "a.exr", folder / "c.exr", code=7))) > 4)
+    compare(folder / "a.exr", folder / "b.exr", "--float-diff", 4)
 
 
 def test_octree_against_itself_in_both_forms(folder):

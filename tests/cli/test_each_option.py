@@ -37,7 +37,8 @@ PACK = {
     "depth": (["--depth", 5], "other"), "voxel-size": (["--voxel-size", 0.2], "other"), "view-distance": (["--view-distance", 90], "other"), "budget": (["--budget", "9K"], "other"),
     "attributes": (["--attributes", "none"], "other"), "surface": (["--surface", "thin"], "other"), "fill": (["--fill", "solid"], "other"), "color": (["--color", "deltaE=20"], "other"),
     "normal": (["--normal", 6], "other", ["{s.obj}", "--depth", 4]), "lod": (["--lod", "none"], "other"), "animation": (["--animation", 0], "other", ["{arm.gltf}", "--depth", 4]),
-    "time": (["--time", 0.5], "other", ["{arm.gltf}", "--depth", 4]), "skins": (["--skins", "bake"], "other", ["{arm.gltf}", "--depth", 4]), "page": (["--page", 1], "other")}
+    "time": (["--time", 0.5], "other", ["{arm.gltf}", "--depth", 4]), "skins": (["--skins", "bake"], "other", ["{arm.gltf}", "--depth", 4]), "page": (["--page", 1], "other"),
+    "depfile": (["--depfile", "{d.d}"], "d.d"), "depfile-beside": (["-MD"], "o.svscene.d")}
 RENDER = {
     "size": (["--size", "20x16"], "other", ["{c.svscene}"]), "samples": (["--samples", 2], "other"), "background": (["--background", "1,2,3"], "other"), "footprint": (["--footprint", 40], "other"), "eye": (["--eye", "3,1,2"], "other"),
     "target": (["--eye", "3,1,2", "--target", "0,0,0"], "other"), "up": (["--up", "1,0,0", "--eye", "3,1,2"], "other"), "fov": (["--fov", 70, "--eye", "3,1,2"], "other"), "turntable": (["--turntable", 2], "o_0001.png"),
@@ -54,7 +55,7 @@ PICTURES, OCTREES = ["{a.png}", "{b.png}"], ["{c.svo}", "{lossy.svdag}"]
 COMPARE = {
     "json": (["--json"], "text"), "psnr": (["--psnr", 5], "accepts", PICTURES), "ssim": (["--ssim", 0.1], "accepts", PICTURES), "max-diff": (["--max-diff", 255], "accepts", PICTURES),
     "deltaE": (["--deltaE", 99], "accepts", OCTREES), "deg": (["--deg", 90], "accepts", ["{s.svo}", "{lossy_normals.svdag}"]), "value": (["--value", 0.2], "accepts", ["{rough.svo}", "{smooth.svo}"]),
-    "geometry-only": (["--geometry-only"], "accepts", OCTREES), "max-voxels": (["--max-voxels", 100000], "same")}
+    "geometry-only": (["--geometry-only"], "accepts", OCTREES), "max-voxels": (["--max-voxels", 100000], "same"), "float-diff": (["--float-diff", 5], "accepts", ["{a.exr}", "{b.exr}"])}
 BENCH = {
     "sweep": (["--sweep", "omega", "--values", "0.3", "--repeat", 1], "text", ["{s.obj}", "--sweep", "depth", "--values", "3", "--repeat", 1]), "values": (["--values", "3,4"], "text"), "depth": (["--depth", 3, "--sweep", "color", "--values", "4"], "text"),
     "attributes": (["--attributes", "none"], "text"), "repeat": (["--repeat", 2], "text"), "clock": (["--clock", "cpu"], "text"), "list": (["--list", "{list.txt}"], "text"), "csv": (["--csv", "{b.csv}"], "b.csv"),
@@ -102,6 +103,8 @@ def inputs(folder):
     run("svo-pack", folder / "two.gltf", "-o", folder / "two.svscene", "--depth", 4)
     run("svo-render", folder / "c.svscene", "-o", folder / "a.png", "--size", "16x16")
     run("svo-render", folder / "c.svscene", "-o", folder / "b.png", "--size", "16x16", "--light", "1,0,0")
+    run("svo-render", folder / "c.svscene", "-o", folder / "a.exr", "--size", "16x16")
+    run("svo-render", folder / "c.svscene", "-o", folder / "b.exr", "--size", "16x16", "--light", "1,0,0")
     run("svo-compress", folder / "c.svo", "-o", folder / "lossy.svdag", "--color", 1)
     run("svo-compress", folder / "s.svo", "-o", folder / "lossy_normals.svdag", "--normal", 6)
     for name, roughness in (("rough", 0.9), ("smooth", 0.8)):
@@ -186,6 +189,8 @@ def check_tool(folder, tool_name):
     check(have == set(TABLES[tool_name]), "%s: in --help or here alone: %s" % (tool_name, sorted(have ^ set(TABLES[tool_name]))))
     inputs(folder)
     bases = {}
+    if tool_name == "svo-compare" and tool("svo-compare", folder / "a.exr", folder / "a.exr").code == 5: # built without OpenEXR
+        TABLES[tool_name]["float-diff"] = (["--float-diff", 5], "same")
     for long, entry in TABLES[tool_name].items():
         used = [str(a) for a in entry[0]]
         letters = {letter for name, letter in options(tool_name) if name == long and letter}

@@ -183,6 +183,36 @@ def test_a_hundred_thousand_instances(folder):
     check(report["peak_rss_bytes"] < (600 << 20), report["peak_rss_bytes"])
 
 
+def test_depfile(folder):
+    """The rule names every file that was read and none besides, escaped; the packed bytes are the same."""
+    odd = folder / "a b#c$d"
+    odd.mkdir()
+    support.cube_glb(odd / "t.glb", texture=support.write_png(None, 4, 4, lambda x, y: (9, 9, 9)))
+    support.cube_obj(odd / "m.obj", color=(1, 0, 0))
+    support.cube_obj(odd / "plain.obj", size=2)
+    support.run("svo-voxelize", odd / "plain.obj", "-o", odd / "p.svo", "--depth", 3)
+    support.run("svo-compress", odd / "p.svo", "-o", odd / "p.svdag")
+    names = ["t.glb", "m.obj", "p.svo", "p.svdag", "unused.obj"]
+    s = description(odd, [(n, n) for n in names], [{"asset": n, "translation": [3 * i, 0, 0]} for i, n in enumerate(names[:4])])
+    plain, out, dep = odd / "plain.svscene", odd / "o.svscene", folder / "o.d"
+    support.run("svo-pack", s, "-o", plain, "--depth", 4)
+    support.run("svo-pack", s, "-o", out, "--depth", 4, "--depfile", dep)
+    check(out.read_bytes() == plain.read_bytes(), "the option changes the scene")
+    escape = lambda p: str(p).replace("$", "$$").replace("#", "\\#").replace(" ", "\\ ")
+    read = sorted([s, odd / "m.mtl", *(odd / n for n in names[:4])])
+    check(dep.read_text() == escape(out) + ":" + "".join(" \\\n  " + escape(p) for p in read) + "\n", dep.read_text())
+    support.run("svo-pack", s, "-o", out, "--depth", 4, "-MD", "--budget", "1M", "-f")
+    check((odd / "o.svscene.d").read_bytes() == dep.read_bytes(), "-MD writes the same rule beside the output")
+    before = (odd / "m.mtl").read_bytes()
+    check(tool("svo-pack", s, "-o", out, "--depfile", odd / "m.mtl", "-f").code == 1 and (odd / "m.mtl").read_bytes() == before)
+    check(tool("svo-pack", s, "-o", folder / "q.svscene", "--depfile", dep).code == 2 and dep.exists())
+    for wrong in (["-o", "-", "-MD"], ["-o", out, "-f", "-MD", "--depfile", dep], ["-o", out, "-f", "--depfile", out]):
+        check(tool("svo-pack", s, *wrong).code == 1, wrong)
+    # a glTF scene and the files beside it
+    support.run("svo-pack", odd / "t.glb", "-o", out, "--depth", 4, "-MD", "-f")
+    check((odd / "o.svscene.d").read_text() == escape(out) + ": \\\n  " + escape(odd / "t.glb") + "\n")
+
+
 def test_a_million_instances(folder):
     write(folder / "a.obj", tetrahedron())
     peak, size = {}, {}

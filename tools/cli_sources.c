@@ -1,5 +1,5 @@
 #define _GNU_SOURCE
-#include "voxelize_sources.h"
+#include "cli_sources.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -158,4 +158,18 @@ svo_result sources_depfile(const sources *s, const char *path, const char *targe
     fmt_output_discard(out);
     svo_buffer_free(&text);
     return r;
+}
+
+int cli_take_depfile(cli *c, bool beside, const char **path)
+{
+    enum { LONGEST = 4096 };
+    static char name[LONGEST + 3];
+    if (beside && *path != NULL) return cli_usage(c, "--depfile and -MD exclude each other");
+    if (beside) {
+        if (strlen(c->output) > LONGEST) return cli_usage(c, "the name of the output is too long");
+        *path = strcat(strcpy(name, c->output), ".d");
+    }
+    if (*path != NULL && strcmp(c->output, "-") == 0) return cli_usage(c, "--depfile needs an output with a name");
+    if (*path != NULL && strcmp(c->output, *path) == 0) return cli_usage(c, "-o and --depfile name the same file");
+    return -1;
 }

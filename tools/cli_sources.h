@@ -1,8 +1,8 @@
 /* The files that a run has read: for the provenance, the content key and depfiles. */
-#ifndef VOXELIZE_SOURCES_H
-#define VOXELIZE_SOURCES_H
+#ifndef CLI_SOURCES_H
+#define CLI_SOURCES_H
 
-#include "svo_alloc.h"
+#include "cli.h"
 
 typedef struct source {
     char *path; /* as opened */
@@ -26,6 +26,9 @@ void sources_free(sources *s);
 /* Hash of everything that decides the bytes of an output: `what` (options and versions as text) and the content and the
  * last name of every file read. 16 bytes. */
 svo_result sources_key(const sources *s, const char *what, uint8_t key[16], svo_error *err);
+
+/* --depfile FILE and -MD (`beside`), which is OUT.d: *path becomes the name of the file, NULL: none is wanted. Returns an exit code after wrong use, else -1. One file a process. */
+int cli_take_depfile(cli *c, bool beside, const char **path);
 
 /* "target: file file ..." for Make and Ninja. Refuses to replace one of the files, or another file without force. */
 svo_result sources_depfile(const sources *s, const char *path, const char *target, bool force, svo_error *err);

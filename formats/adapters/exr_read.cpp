@@ -1,0 +1,142 @@
+// OpenEXR pictures in. Where the library is not found, SVO_HAVE_OPENEXR is not defined and reading says so.
+#include "exr_read.h"
+
+#include "cxx_guard.hpp"
+
+#include <cstring>
+
+#ifdef SVO_HAVE_OPENEXR
+#include <OpenEXR/ImfChannelList.h>
+#include <OpenEXR/ImfFrameBuffer.h>
+#include <OpenEXR/ImfHeader.h>
+#include <OpenEXR/ImfIO.h>
+#include <OpenEXR/ImfInputFile.h>
+
+#include <cstdint>
+#include <vector>
+
+namespace {
+
+constexpr int most_side = 65536;
+constexpr std::uint64_t most_pixels = std::uint64_t{1} << 28;
+
+// Bytes in memory as the library reads them.
+class memory_stream : public Imf::IStream {
+public:
+    memory_stream(const std::uint8_t *bytes, std::uint64_t size) : Imf::IStream("picture"), bytes_(bytes), size_(size) {}
+    bool read(char c[], int n) override
+    {
+        take(n);
+        std::memcpy(c, bytes_ + at_ - static_cast<std::uint64_t>(n), static_cast<std::size_t>(n));
+        return at_ < size_;
+    }
+    std::uint64_t tellg() override { return at_; }
+    void seekg(std::uint64_t to) override { at_ = to; }
+
+private:
+    void take(int n)
+    {
+        if (n < 0 || at_ > size_ || static_cast<std::uint64_t>(n) > size_ - at_) svo_throw(SVO_INVALID_DATA, "the OpenEXR picture is cut off");
+        at_ += static_cast<std::uint64_t>(n);
+    }
+    const std::uint8_t *bytes_;
+    std::uint64_t size_, at_ = 0;
+};
+
+// Samples of a channel, of which there is one for every xs * ys pixels whose coordinates are multiples of these, to a plane.
+void spread(const Imf::Channel &c, const IMATH_NAMESPACE::Box2i &w, const std::vector<std::uint32_t> &samples, fmt_exr_plane &to)
+{
+    const std::int64_t width = std::int64_t{w.max.x} - w.min.x + 1, height = std::int64_t{w.max.y} - w.min.y + 1, wide = (width + c.xSampling - 1) / c.xSampling;
+    for (std::int64_t y = 0; y < height; y++)
+        for (std::int64_t x = 0; x < width; x++) {
+            const std::uint32_t bits = samples[static_cast<std::size_t>(y / c.ySampling * wide + x / c.xSampling)];
+            float f;
+            std::memcpy(&f, &bits, sizeof f);
+            to.values[y * width + x] = to.integer ? static_cast<double>(bits) : static_cast<double>(f);
+        }
+}
+
+void read_planes(Imf::InputFile &file, const IMATH_NAMESPACE::Box2i &w, fmt_exr_picture &p)
+{
+    const Imf::ChannelList &channels = file.header().channels();
+    const std::int64_t width = p.width, height = p.height;
+    std::uint32_t at = 0;
+    for (auto c = channels.begin(); c != channels.end(); ++c, at++) {
+        const Imf::Channel &channel = c.channel();
+        fmt_exr_plane &to = p.planes[at];
+        if (channel.xSampling < 1 || channel.ySampling < 1 || w.min.x % channel.xSampling != 0 || w.min.y % channel.ySampling != 0)
+            svo_throw(SVO_INVALID_DATA, "channel %.60s of the OpenEXR picture has samples between pixels", c.name());
+        std::snprintf(to.name, sizeof to.name, "%s", c.name());
+        to.integer = channel.type == Imf::UINT;
+        const std::int64_t wide = (width + channel.xSampling - 1) / channel.xSampling, high = (height + channel.ySampling - 1) / channel.ySampling;
+        std::vector<std::uint32_t> samples(static_cast<std::size_t>(wide * high));
+        to.values = static_cast<double *>(svo_alloc(p.allocator, static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height), sizeof *to.values));
+        if (to.values == nullptr) svo_throw(SVO_OUT_OF_MEMORY, "no memory for an OpenEXR picture");
+        // (one channel at a time, so that the samples need not all be there at once)
+        Imf::FrameBuffer frame;
+        auto *base = reinterpret_cast<char *>(samples.data()) - 4 * (std::int64_t{w.min.x} / channel.xSampling + wide * (std::int64_t{w.min.y} / channel.ySampling));
+        frame.insert(c.name(), Imf::Slice(to.integer ? Imf::UINT : Imf::FLOAT, base, 4, static_cast<std::size_t>(4 * wide), channel.xSampling, channel.ySampling));
+        file.setFrameBuffer(frame);
+        file.readPixels(w.min.y, w.max.y);
+        spread(channel, w, samples, to);
+    }
+}
+
+svo_result read(const std::uint8_t *bytes, std::uint64_t size, fmt_exr_picture &p)
+{
+    Imf::Header::setMaxImageSize(most_side, most_side);
+    Imf::Header::setMaxTileSize(most_side, most_side);
+    memory_stream stream(bytes, size);
+    Imf::InputFile file(stream, 0);
+    const auto w = file.header().dataWindow();
+    const std::int64_t width = std::int64_t{w.max.x} - w.min.x + 1, height = std::int64_t{w.max.y} - w.min.y + 1;
+    if (width < 1 || height < 1) svo_throw(SVO_INVALID_DATA, "the OpenEXR picture has no pixels");
+    if (width > most_side || height > most_side || static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height) > most_pixels)
+        svo_throw(SVO_LIMIT, "%lld x %lld pixels are too many", static_cast<long long>(width), static_cast<long long>(height));
+    if (!file.isComplete()) svo_throw(SVO_INVALID_DATA, "the OpenEXR picture is not complete");
+    for (auto c = file.header().channels().begin(); c != file.header().channels().end(); ++c) p.plane_count++;
+    p.width = static_cast<std::uint32_t>(width), p.height = static_cast<std::uint32_t>(height);
+    p.planes = static_cast<fmt_exr_plane *>(svo_calloc(p.allocator, p.plane_count, sizeof *p.planes));
+    if (p.planes == nullptr && p.plane_count != 0) svo_throw(SVO_OUT_OF_MEMORY, "no memory for an OpenEXR picture");
+    read_planes(file, w, p);
+    return SVO_OK;
+}
+
+} // namespace
+
+extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
+{
+    *out = fmt_exr_picture{};
+    out->allocator = a;
+    const svo_result r = svo_guard(err, [&]() -> svo_result {
+        try {
+            return read(bytes, size, *out);
+        } catch (const svo_failure &) {
+            throw;
+        } catch (const std::bad_alloc &) {
+            throw;
+        } catch (const std::exception &e) { // whatever the library does not like
+            svo_throw(std::strstr(e.what(), "deep") != nullptr ? SVO_UNSUPPORTED : SVO_INVALID_DATA, "OpenEXR: %.200s", e.what());
+        }
+    });
+    if (r != SVO_OK) fmt_exr_free(out);
+    return r;
+}
+#else
+extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
+{
+    (void)bytes, (void)size, (void)a;
+    *out = fmt_exr_picture{};
+    return svo_fail(err, SVO_UNSUPPORTED, "OpenEXR pictures are not read: built without the OpenEXR library");
+}
+#endif
+
+extern "C" bool fmt_exr_is(const uint8_t *head, uint64_t size) { return size >= 4 && std::memcmp(head, "v/1\x01", 4) == 0; }
+
+extern "C" void fmt_exr_free(fmt_exr_picture *p)
+{
+    for (std::uint32_t i = 0; p->planes != nullptr && i < p->plane_count; i++)
+        svo_free(p->allocator, p->planes[i].values, static_cast<std::uint64_t>(p->width) * p->height, sizeof *p->planes[i].values);
+    svo_free(p->allocator, p->planes, p->plane_count, sizeof *p->planes);
+    *p = fmt_exr_picture{};
+}
