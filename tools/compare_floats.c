@@ -91,7 +91,7 @@ svo_result compare_floats(compare_job *j, svo_error *err)
         svo_error inner = {0};
         r = compare_load(in, j->c, j->allocator, err);
         if (r != SVO_OK) break;
-        r = fmt_exr_read(in->bytes.data, in->bytes.size, j->allocator, &picture[i], &inner);
+        r = fmt_exr_read(in->bytes.data, in->bytes.size, 0, j->allocator, &picture[i], &inner);
         if (r != SVO_OK) {
             svo_fail(err, r, "%.150s: %s", strcmp(in->path, "-") == 0 ? "stdin" : in->path, inner.message);
             break;

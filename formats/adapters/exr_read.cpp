@@ -18,7 +18,7 @@
 namespace {
 
 constexpr int most_side = 65536;
-constexpr std::uint64_t most_pixels = std::uint64_t{1} << 28;
+constexpr std::uint64_t default_pixels = std::uint64_t{1} << 28;
 
 // Bytes in memory as the library reads them.
 class memory_stream : public Imf::IStream {
@@ -82,7 +82,7 @@ void read_planes(Imf::InputFile &file, const IMATH_NAMESPACE::Box2i &w, fmt_exr_
     }
 }
 
-svo_result read(const std::uint8_t *bytes, std::uint64_t size, fmt_exr_picture &p)
+svo_result read(const std::uint8_t *bytes, std::uint64_t size, std::uint64_t max_pixels, fmt_exr_picture &p)
 {
     Imf::Header::setMaxImageSize(most_side, most_side);
     Imf::Header::setMaxTileSize(most_side, most_side);
@@ -91,7 +91,7 @@ svo_result read(const std::uint8_t *bytes, std::uint64_t size, fmt_exr_picture &
     const auto w = file.header().dataWindow();
     const std::int64_t width = std::int64_t{w.max.x} - w.min.x + 1, height = std::int64_t{w.max.y} - w.min.y + 1;
     if (width < 1 || height < 1) svo_throw(SVO_INVALID_DATA, "the OpenEXR picture has no pixels");
-    if (width > most_side || height > most_side || static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height) > most_pixels)
+    if (width > most_side || height > most_side || static_cast<std::uint64_t>(width) * static_cast<std::uint64_t>(height) > max_pixels)
         svo_throw(SVO_LIMIT, "%lld x %lld pixels are too many", static_cast<long long>(width), static_cast<long long>(height));
     if (!file.isComplete()) svo_throw(SVO_INVALID_DATA, "the OpenEXR picture is not complete");
     for (auto c = file.header().channels().begin(); c != file.header().channels().end(); ++c) p.plane_count++;
@@ -104,13 +104,13 @@ svo_result read(const std::uint8_t *bytes, std::uint64_t size, fmt_exr_picture &
 
 } // namespace
 
-extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
+extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
 {
     *out = fmt_exr_picture{};
     out->allocator = a;
     const svo_result r = svo_guard(err, [&]() -> svo_result {
         try {
-            return read(bytes, size, *out);
+            return read(bytes, size, max_pixels != 0 ? max_pixels : default_pixels, *out);
         } catch (const svo_failure &) {
             throw;
         } catch (const std::bad_alloc &) {
@@ -123,9 +123,9 @@ extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, const sv
     return r;
 }
 #else
-extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
+extern "C" svo_result fmt_exr_read(const uint8_t *bytes, uint64_t size, uint64_t max_pixels, const svo_allocator *a, fmt_exr_picture *out, svo_error *err)
 {
-    (void)bytes, (void)size, (void)a;
+    (void)bytes, (void)size, (void)max_pixels, (void)a;
     *out = fmt_exr_picture{};
     return svo_fail(err, SVO_UNSUPPORTED, "OpenEXR pictures are not read: built without the OpenEXR library");
 }

@@ -1,11 +1,15 @@
 """svo-compare on files that the other tools made, and on images made here."""
 
 import math
+import os
 import struct
-import zlib
+import sys
 
 import support
 from support import check, run, tool
+
+sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), "..", "fuzz"))
+import make_seeds
 
 
 def compare(*args, code=0, **more):
@@ -58,27 +62,8 @@ def test_images(folder):
     check(compare("-", a, stdin=a.read_bytes())["identical"], "stdin")
 
 
-def exr(path, width, height, planes, compression=0, origin=(0, 0)):
-    """An OpenEXR file of its own: planes {name: (type, rows)}, type 0 integers, 1 halves, 2 floats; compression 0 none, 2 each row by zlib."""
-    attribute = lambda name, kind, data: name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
-    names = sorted(planes)
-    x, y = origin
-    box = struct.pack("<4i", x, y, x + width - 1, y + height - 1)
-    channels = b"".join(n.encode() + b"\0" + struct.pack("<IB3xII", planes[n][0], 0, 1, 1) for n in names) + b"\0"
-    head = struct.pack("<II", 20000630, 2) + attribute("channels", "chlist", channels) + attribute("compression", "compression", bytes([compression])) + \
-        attribute("dataWindow", "box2i", box) + attribute("displayWindow", "box2i", box) + attribute("lineOrder", "lineOrder", b"\0") + \
-        attribute("pixelAspectRatio", "float", struct.pack("<f", 1)) + attribute("screenWindowCenter", "v2f", struct.pack("<ff", 0, 0)) + \
-        attribute("screenWindowWidth", "float", struct.pack("<f", 1)) + b"\0"
-    rows, offsets = b"", b""
-    for r in range(height):
-        data = b"".join(struct.pack("<%d%s" % (width, "Ief"[planes[n][0]]), *planes[n][1][r]) for n in names)
-        if compression:  # bytes of even places, then odd ones, as differences
-            split = data[0::2] + data[1::2]
-            packed = zlib.compress(bytes([split[0]] + [(split[i] - split[i - 1] + 128) & 255 for i in range(1, len(split))]))
-            data = packed if len(packed) < len(data) else data
-        offsets += struct.pack("<Q", len(head) + 8 * height + len(rows))
-        rows += struct.pack("<iI", y + r, len(data)) + data
-    path.write_bytes(head + offsets + rows)
+def exr(path, *args, **more):
+    path.write_bytes(make_seeds.exr(*args, **more))
     return path
 
 

@@ -72,6 +72,29 @@ def tga(kind, bits):
     return head + palette + bytes([0x80 | 3]) + bytes(step) + bytes([1]) + (bytes(2 * step) if palette else bytes(range(2 * step)))
 
 
+def exr(width, height, planes, compression=0, origin=(0, 0)):
+    """An OpenEXR file of its own: planes {name: (type, rows)}, type 0 integers, 1 halves, 2 floats; compression 0 none, 2 each row by zlib."""
+    attribute = lambda name, kind, data: name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<I", len(data)) + data
+    names = sorted(planes)
+    x, y = origin
+    box = struct.pack("<4i", x, y, x + width - 1, y + height - 1)
+    channels = b"".join(n.encode() + b"\0" + struct.pack("<IB3xII", planes[n][0], 0, 1, 1) for n in names) + b"\0"
+    head = struct.pack("<II", 20000630, 2) + attribute("channels", "chlist", channels) + attribute("compression", "compression", bytes([compression])) + \
+        attribute("dataWindow", "box2i", box) + attribute("displayWindow", "box2i", box) + attribute("lineOrder", "lineOrder", b"\0") + \
+        attribute("pixelAspectRatio", "float", struct.pack("<f", 1)) + attribute("screenWindowCenter", "v2f", struct.pack("<ff", 0, 0)) + \
+        attribute("screenWindowWidth", "float", struct.pack("<f", 1)) + b"\0"
+    rows, offsets = b"", b""
+    for r in range(height):
+        data = b"".join(struct.pack("<%d%s" % (width, "Ief"[planes[n][0]]), *planes[n][1][r]) for n in names)
+        if compression:  # bytes of even places, then odd ones, as differences
+            split = data[0::2] + data[1::2]
+            packed = zlib.compress(bytes([split[0]] + [(split[i] - split[i - 1] + 128) & 255 for i in range(1, len(split))]))
+            data = packed if len(packed) < len(data) else data
+        offsets += struct.pack("<Q", len(head) + 8 * height + len(rows))
+        rows += struct.pack("<iI", y + r, len(data)) + data
+    return head + offsets + rows
+
+
 def obj():
     text = "mtllib m.mtl\no a\n" + "".join("v %g %g %g %g %g %g\n" % (p + tuple(c / 255 for c in q)) for p, q in zip(POINTS, COLORS))
     text += "vt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nvn 0 1 0\ng one\nusemtl red\ns 1\n"
@@ -217,6 +240,13 @@ class Seeds:
         for t in (target, *also):
             self.put(t, name, data)
 
+    def exr(self):
+        rows = lambda f: [[f(x, y) for x in range(5)] for y in range(3)]
+        planes = {"B": (1, rows(lambda x, y: x / 4)), "R": (1, rows(lambda x, y: y)), "Z": (2, rows(lambda x, y: float("inf") if x == y else x + 0.1)), "bone": (0, rows(lambda x, y: 4294967295 - x))}
+        self.put("exr", "plain.exr", exr(5, 3, planes))
+        self.put("exr", "zips.exr", exr(5, 3, planes, compression=2, origin=(-7, 20)))
+        self.put("exr", "one.exr", exr(5, 3, {"Y": planes["Z"]}))
+
     def images(self):
         for color, bits in ((0, 1), (0, 16), (2, 8), (3, 2), (3, 8), (4, 8), (6, 8), (6, 16)):
             self.put("image", "%d_%d.png" % (color, bits), png(color, bits))
@@ -346,6 +376,7 @@ def main():
     with tempfile.TemporaryDirectory() as work:
         seeds = Seeds(sys.argv[1], sys.argv[2], work)
         seeds.images()
+        seeds.exr()
         seeds.meshes()
         seeds.voxels()
         seeds.ours()
