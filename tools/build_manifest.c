@@ -257,7 +257,8 @@ svo_result build_plan_read(const char *path, build_plan *out, svo_error *err)
         fmt_bytes_close(&b);
         return svo_fail(err, SVO_INVALID_DATA, "the file is empty");
     }
-    out->manifest = json_loadb((const char *)b.data, b.size, JSON_REJECT_DUPLICATES, &where);
+    const uint64_t mark = b.size >= 3 && memcmp(b.data, "\xef\xbb\xbf", 3) == 0 ? 3 : 0; /* which some editors put before UTF-8 */
+    out->manifest = json_loadb((const char *)b.data + mark, b.size - mark, JSON_REJECT_DUPLICATES, &where);
     fmt_bytes_close(&b);
     if (out->manifest == NULL) return svo_fail(err, SVO_INVALID_DATA, "line %d, column %d: %.120s", where.line, where.column, where.text);
     const char *slash = strrchr(path, '/');

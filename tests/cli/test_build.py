@@ -296,6 +296,9 @@ def test_scenes(folder):
     support.cube_obj(folder / "m1.obj", size=3)
     s = states(build(path))
     check(s[("a0", "compress")] == "current" and s[("a1", "compress")] == "built" and s[("all", "pack")] == "built", s)
+    # a byte order mark before the manifest is no part of it
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    check(set(states(build(path)).values()) == {"current"})
     # a scene that names a mesh, and by it a material
     support.cube_obj(folder / "m0.obj", color=(1, 0, 0))
     build(path)

@@ -108,6 +108,10 @@ def test_openexr(folder):
         check(tool("svo-compare", a, b).code == 3, length)
     b.write_bytes(whole.replace(struct.pack("<4i", 0, 0, 6, 4), struct.pack("<4i", 0, 0, 0x7ffffff0, 0x7ffffff0)))
     check(tool("svo-compare", a, b, "--memory", "200M").code in (3, 6), "enormous")
+    # an attribute that says it is larger than the file: OpenEXR itself would take the memory first
+    b.write_bytes(whole.replace(b"screenWindowWidth\0float\0\4\0\0\0", b"screenWindowWidth\0float\0\0\0\0\x64"))
+    r = tool("svo-compare", a, b)
+    check(r.code == 3 and "longer than the file" in r.err, r)
     support.write_png(folder / "a.png", 7, 5, lambda x, y: (x, y, 0))
     check(tool("svo-compare", a, folder / "a.png").code == 5)
     (folder / "t.txt").write_text("hello\n")

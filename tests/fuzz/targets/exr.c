@@ -4,7 +4,7 @@
 #include "../fuzz.h"
 #include "exr_read.h"
 
-enum { MOST_PIXELS = 1 << 12 };
+enum { MOST_PIXELS = 1 << 10 };
 
 static svo_result read(const uint8_t *bytes, uint64_t size, const svo_allocator *a, svo_error *err)
 {
