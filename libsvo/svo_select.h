@@ -60,7 +60,8 @@ void svo_selection_free(svo_selection *s);
 typedef enum svo_draw_method { SVO_DRAW_BOXES, SVO_DRAW_MIPMAPS } svo_draw_method;
 
 /* Draw the boxes themselves (the thesis' direct output): for each sample of the picture the nearest box that its ray meets, and the depth along the view's axis.
- * owner, depth: width * height; UINT32_MAX and infinity where there is none. Of equal depths the lower number wins. */
+ * owner, depth: width * height; UINT32_MAX and infinity where there is none. Of equal depths the lower instance wins, then the lower attribute and
+ * place, so that a picture does not change with what is left out behind. */
 svo_result svo_select_draw(const svo_selection *s, const svo_select_options *options, svo_draw_method method, uint32_t *owner, float *depth, svo_error *err);
 
 /* A picture of the boxes, without shadows, with the options of svo_render (eye, size, samples, light, ambient, background). pixels as in svo_render. Boxes that cover a part only of what

@@ -51,15 +51,30 @@ static float depth_of(uint64_t nearest)
 
 /* ---- the nearest box ------------------------------------------------------------------------------------------------- */
 
+static bool comes_first(const svo_selected *a, const svo_selected *b)
+{
+    if (a->instance != b->instance) return a->instance < b->instance;
+    if (a->attribute != b->attribute) return a->attribute < b->attribute;
+    for (int k = 0; k < 3; k++) {
+        if (a->low[k] != b->low[k]) return a->low[k] < b->low[k];
+        if (a->high[k] != b->high[k]) return a->high[k] < b->high[k];
+    }
+    return a < b;
+}
+
+bool svoi_is_nearer(const svo_selection *s, uint64_t a, uint64_t b)
+{
+    if (a >> 32 != b >> 32 || b == UINT64_MAX) return a < b;
+    return a != b && comes_first(&s->boxes[(uint32_t)a], &s->boxes[(uint32_t)b]);
+}
+
 static void add_nearest(void *user, uint32_t x, uint32_t y, float depth, float leave)
 {
     (void)leave;
     const pen *p = user;
-    uint64_t *to = &p->d->nearest[(uint64_t)y * p->d->look.width + x], old = __atomic_load_n(to, __ATOMIC_RELAXED);
     uint32_t bits;
     memcpy(&bits, &depth, 4);
-    uint64_t mine = (uint64_t)bits << 32 | p->number;
-    while (mine < old && !__atomic_compare_exchange_n(to, &old, mine, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) continue;
+    svoi_set_nearest(p->d->selection, &p->d->nearest[(uint64_t)y * p->d->look.width + x], (uint64_t)bits << 32 | p->number);
 }
 
 static svo_result draw_boxes(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)

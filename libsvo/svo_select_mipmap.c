@@ -17,13 +17,7 @@ typedef struct pyramid {
 
 static uint32_t texels(uint32_t samples, uint32_t level) { return (samples + (1u << level) - 1) >> level; }
 
-static void set(uint64_t *to, uint64_t mine)
-{
-    uint64_t old = __atomic_load_n(to, __ATOMIC_RELAXED);
-    while (mine < old && !__atomic_compare_exchange_n(to, &old, mine, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) continue;
-}
-
-typedef struct exact { uint64_t *nearest; uint32_t width, number; } exact;
+typedef struct exact { const svo_selection *selection; uint64_t *nearest; uint32_t width, number; } exact;
 
 static void add_exact(void *user, uint32_t x, uint32_t y, float depth, float leave)
 {
@@ -31,7 +25,7 @@ static void add_exact(void *user, uint32_t x, uint32_t y, float depth, float lea
     uint32_t bits;
     (void)leave;
     memcpy(&bits, &depth, 4);
-    set(&e->nearest[(uint64_t)y * e->width + x], (uint64_t)bits << 32 | e->number);
+    svoi_set_nearest(e->selection, &e->nearest[(uint64_t)y * e->width + x], (uint64_t)bits << 32 | e->number);
 }
 
 static svo_result scatter(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
@@ -45,7 +39,7 @@ static svo_result scatter(void *user, uint64_t begin, uint64_t end, uint32_t wor
         for (int k = 0; k < 3; k++) low[k] = b->low[k], high[k] = b->high[k];
         const svoi_rect r = svoi_project(&p->look, low, high);
         if (r.near <= 0) { /* has no rectangle */
-            exact e = {p->nearest[0], p->look.width, (uint32_t)i};
+            exact e = {p->selection, p->nearest[0], p->look.width, (uint32_t)i};
             svoi_draw_box(&p->look, b->low, b->high, add_exact, &e);
             continue;
         }
@@ -58,7 +52,7 @@ static svo_result scatter(void *user, uint64_t begin, uint64_t end, uint32_t wor
         memcpy(&bits, &near, 4);
         const uint32_t width = texels(p->look.width, l);
         for (uint32_t y = s.y0 >> l; y <= (s.y1 - 1) >> l; y++)
-            for (uint32_t x = s.x0 >> l; x <= (s.x1 - 1) >> l; x++) set(&p->nearest[l][(uint64_t)y * width + x], (uint64_t)bits << 32 | i);
+            for (uint32_t x = s.x0 >> l; x <= (s.x1 - 1) >> l; x++) svoi_set_nearest(p->selection, &p->nearest[l][(uint64_t)y * width + x], (uint64_t)bits << 32 | i);
     }
     return SVO_OK;
 }
@@ -72,7 +66,7 @@ static svo_result merge_rows(void *user, uint64_t begin, uint64_t end, uint32_t 
         for (uint32_t x = 0; x < width; x++) {
             const uint64_t coarse = p->nearest[p->level + 1][(y >> 1) * above + (x >> 1)];
             uint64_t *to = &p->nearest[p->level][y * width + x];
-            if (coarse < *to) *to = coarse;
+            if (svoi_is_nearer(p->selection, coarse, *to)) *to = coarse;
         }
     return SVO_OK;
 }

@@ -7,32 +7,33 @@
 
 /* ---- a box in the picture -------------------------------------------------------------------------------------------- */
 
-/* Hidden where all samples that it, or cells made of it, can cover show something nearer. */
-static bool is_hidden(const svoi_selecting *s, const double low[3], const double high[3], const svoi_rect *r)
+/* Hidden where all samples of its rectangle show something nearer. */
+static bool is_hidden(const svoi_selecting *s, const svoi_rect *r)
 {
-    double shortest = INFINITY, longest = 0, l[3], h[3];
-    for (int k = 0; k < 3; k++) {
-        const double side = high[k] - low[k];
-        shortest = side < shortest ? side : shortest, longest = side > longest ? side : longest;
-    }
-    double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
-    svoi_rect wide = *r;
-    if (over > 0) {
-        for (int k = 0; k < 3; k++) l[k] = low[k] - over, h[k] = high[k] + over;
-        wide = svoi_project(&s->look, l, h);
-    }
-    if (wide.near <= 0) return false;
-    svoi_span samples = svoi_samples(&s->look, &wide);
-    return svoi_depth_hides(&s->depth, &samples, wide.near * (1 - 1e-6));
+    if (r->near <= 0) return false;
+    const svoi_span samples = svoi_samples(&s->look, r);
+    return svoi_depth_hides(&s->depth, &samples, r->near * (1 - 1e-6));
 }
 
-/* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. */
+/* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. What is out of sight or hidden is so with all that the cells made of it
+ * can cover. */
 static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size)
 {
     svoi_rect r = svoi_project(&s->look, low, high);
+    double shortest = INFINITY, longest = 0, l[3], h[3];
     *size = r.x1 - r.x0 > r.y1 - r.y0 ? r.x1 - r.x0 : r.y1 - r.y0;
+    if (s->o->overhang[0] > 0 || s->o->overhang[1] > 0) {
+        for (int k = 0; k < 3; k++) {
+            const double side = high[k] - low[k];
+            shortest = side < shortest ? side : shortest, longest = side > longest ? side : longest;
+        }
+        const double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
+        for (int k = 0; k < 3; k++) l[k] = low[k] - over, h[k] = high[k] + over;
+        low = l, high = h;
+        r = svoi_project(&s->look, l, h);
+    }
     if (s->o->frustum && (r.far <= 0 || svoi_outside(&s->look, low, high))) return SVOI_OUT_OF_SIGHT;
-    if (s->o->occlusion && is_hidden(s, low, high, &r)) return SVOI_HIDDEN;
+    if (s->o->occlusion && is_hidden(s, &r)) return SVOI_HIDDEN;
     return SVOI_SEEN;
 }
 
@@ -117,11 +118,7 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
 {
     const uint64_t attribute = p->view->depth >= 2 ? svo_view_node_attribute(p->view, n->level, n->node) : n->node.attribute;
     svo_selected b = {.instance = (uint32_t)p->instance, .attribute = attribute};
-    for (int k = 0; k < 3; k++) {
-        b.low[k] = (float)low[k], b.high[k] = (float)high[k];
-        if (b.low[k] > low[k]) b.low[k] = nextafterf(b.low[k], -INFINITY);
-        if (b.high[k] < high[k]) b.high[k] = nextafterf(b.high[k], INFINITY);
-    }
+    for (int k = 0; k < 3; k++) b.low[k] = (float)low[k], b.high[k] = (float)high[k]; /* exactly */
     const uint32_t asset = s->scene->instance_asset[p->instance], channel = s->normal_channel[asset];
     const double edge = edge_of(p, n);
     const svo_bone_list list = p->bones != NULL ? svo_bones_at(p->bones, n->level, n->cell) : (svo_bone_list){&resting, 1};
@@ -144,6 +141,15 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
     out->report.finest += n->level == p->view->depth;
     if (s->o->occlusion && covers(s, p, attribute)) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
     return svo_buffer_append(&out->boxes, &b, sizeof b) != NULL;
+}
+
+/* To single precision, outwards: what is judged is then the box that is drawn, to the last bit. (Without branches: a step more than is needed.) */
+static void round_outwards(double low[3], double high[3])
+{
+    for (int k = 0; k < 3; k++) {
+        low[k] = (float)(low[k] - 0x1p-23 * fabs(low[k]) - (double)FLT_MIN);
+        high[k] = (float)(high[k] + 0x1p-23 * fabs(high[k]) + (double)FLT_MIN);
+    }
 }
 
 void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double high[3])
@@ -170,6 +176,7 @@ svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_vi
         low[k] = low[k] > from[k] ? low[k] : from[k], high[k] = high[k] < to[k] ? high[k] : to[k];
         if (low[k] > high[k]) return SVOI_OUTSIDE;
     }
+    round_outwards(low, high);
     svoi_sight seen = project(s, low, high, &size);
     if (seen != SVOI_SEEN) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
     if (n->level >= p->view->depth) return SVOI_TAKE;
@@ -242,6 +249,7 @@ svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page)
 {
     double low[3], high[3], size;
     svoi_page_box(s, page, low, high);
+    round_outwards(low, high);
     return project(s, low, high, &size);
 }
 

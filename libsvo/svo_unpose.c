@@ -261,7 +261,7 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
     if (u == NULL) return no_memory(err);
     u->allocator = a;
     svo_select_options select = o->select;
-    if (select.occlusion) { /* how far the cells of svo_resample reach */
+    if (select.occlusion || select.frustum) { /* how far the cells of svo_resample reach */
         bool emit = o->method == SVO_RESAMPLE_EMIT;
         select.overhang[0] = emit ? 2 : 0, select.overhang[1] = emit ? 0.125 : 1;
     }

@@ -44,6 +44,14 @@ extern const uint8_t svoi_covers; /* coverage of a voxel that hides what is behi
  * caller, scene->asset_count; NULL without memory (or assets). *any: does one have it? */
 uint32_t *svoi_find_channels(const svo_scene *scene, const char *name, svo_channel_kind kind, const uint8_t *plain, const svo_allocator *a, bool *any);
 
+/* Of two boxes as depth's bits and number (UINT64_MAX: none), the nearer one; of equal depths the one whose instance, attribute and place come first. Numbers depend on what is culled, these do not. */
+bool svoi_is_nearer(const svo_selection *s, uint64_t a, uint64_t b);
+static inline void svoi_set_nearest(const svo_selection *s, uint64_t *to, uint64_t mine)
+{
+    uint64_t old = __atomic_load_n(to, __ATOMIC_RELAXED);
+    while (svoi_is_nearer(s, mine, old) && !__atomic_compare_exchange_n(to, &old, mine, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) continue;
+}
+
 /* The nearest box of each sample by mipmaps: depth's bits, then the number of the box; UINT64_MAX, which all are set to before, where there is none. cover: of each box, those that do
  * not hide what is behind them are left out; NULL: none. */
 svo_result svoi_draw_mipmap(const svo_selection *s, const uint8_t *cover, const svoi_look *look, uint32_t threads, const svo_allocator *a, uint64_t *nearest, svo_error *err);

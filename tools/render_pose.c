@@ -189,7 +189,7 @@ int choose_resample(int asked, bool shadows) { return asked != RESAMPLE_AUTO ? a
 svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, uint8_t *pixels, svo_render_stats *stats, svo_error *err)
 {
     svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = boxes.delta, .everything = true,
-                                 .frustum = true, .occlusion = true, .threads = o->threads, .allocator = o->allocator};
+                                 .frustum = boxes.culling, .occlusion = boxes.culling, .threads = o->threads, .allocator = o->allocator};
     svo_selection selection;
     uint64_t covered = 0;
     double seconds = 0;

@@ -17,7 +17,7 @@ typedef struct posing {
 
 /* The decision tree of figure 29: what --resample auto means here. */
 enum { RESAMPLE_AUTO, RESAMPLE_DIRECT, RESAMPLE_RESIZE, RESAMPLE_EMIT, RESAMPLE_MIPMAP };
-typedef struct direct_boxes { double delta; bool mipmap; } direct_boxes;
+typedef struct direct_boxes { double delta; bool mipmap, culling; } direct_boxes;
 static inline bool draws_boxes(int resample) { return resample == RESAMPLE_DIRECT || resample == RESAMPLE_MIPMAP; }
 
 svo_result pose_scene(posing *p, const svo_scene **scene, const svo_pose *stated, const float matrix[12], const svo_allocator *a, svo_error *err);

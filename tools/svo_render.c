@@ -19,7 +19,7 @@
 static struct {
     const char *size, *background;
     double eye[3], target[3], up[3], light[3], fov, ambient, footprint;
-    bool eye_seen, target_seen, up_seen, fov_seen, no_shadows;
+    bool eye_seen, target_seen, up_seen, fov_seen, no_shadows, no_culling;
     uint64_t samples;
     const char *deform, *save_svo, *path;
     uint64_t turntable, bounce;
@@ -55,6 +55,7 @@ static const cli_option options[] = {
     {"resample", 0, CLI_CHOICE, &ask.resample, "KIND", "How deformed voxels are drawn: cells of an octree of fixed (resize) or growing (emit) number, as boxes (direct), or as boxes by the texels of a mipmap (mipmap).", 0,
      0, resamples, NULL, false, "Deformation"},
     {"delta", 0, CLI_DOUBLE, &ask.delta, "S", "Take deformed nodes that are less than S samples wide.", 1e-3, 1e6, NULL, NULL, false, "Deformation"},
+    {"no-culling", 0, CLI_FLAG, &ask.no_culling, NULL, "Deform what is hidden or out of the picture too, as with shadows: to compare pictures.", 0, 0, NULL, NULL, false, "Deformation"},
     {"save-svo", 0, CLI_TEXT, &ask.save_svo, "F", "Write the octree of deformed voxels as .svo.", 0, 0, NULL, NULL, true, "Deformation"},
 };
 
@@ -273,8 +274,9 @@ static svo_result deform_picture(void *user, const svo_render_options *o, pictur
     deforming *d = user;
     end_picture(d);
     s->scene = d->scene;
+    const bool culling = !o->shadows && !ask.no_culling;
     const svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = d->everything,
-                                       .frustum = !o->shadows, .occlusion = !o->shadows, .threads = o->threads, .allocator = o->allocator};
+                                       .frustum = culling, .occlusion = culling, .threads = o->threads, .allocator = o->allocator};
     SVO_TRY(unpose_scene(&d->now, d->c, &s->scene, &select, o, d->resample, picture_is_exr(d->c->output), ask.save_svo, err));
     cli_phase(d->c, "hierarchy");
     SVO_TRY(svo_bvh_build(s->scene, o->threads, o->allocator, &d->c->warnings, &d->bvh, &d->report, err));
@@ -298,7 +300,7 @@ static svo_result run(cli *c, svo_render_options *o, const svo_pose *stated, con
 {
     posing posed = {0};
     deforming deformed = {0};
-    picture_source source = {.boxes = {ask.delta, ask.resample == RESAMPLE_MIPMAP}, .user = &deformed};
+    picture_source source = {.boxes = {ask.delta, ask.resample == RESAMPLE_MIPMAP, !ask.no_culling}, .user = &deformed};
     const svo_scene *scene;
     input in;
     memset(&in, 0, sizeof in);

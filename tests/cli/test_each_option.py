@@ -44,7 +44,7 @@ RENDER = {
     "target": (["--eye", "3,1,2", "--target", "0,0,0"], "other"), "up": (["--up", "1,0,0", "--eye", "3,1,2"], "other"), "fov": (["--fov", 70, "--eye", "3,1,2"], "other"), "turntable": (["--turntable", 2], "o_0001.png"),
     "path": (["--path", "{path.txt}"], "o_0000.png"), "light": (["--light", "1,0,0"], "other"), "ambient": (["--ambient", 0.9], "other"), "bounce": (["--bounce", 2], "other"), "reflections": (["--reflections", "--reflectance", 0.5], "other"),
     "reflectance": (["--reflectance", 1], "other"), "no-shadows": (["--no-shadows"], "other", ["{two.svscene}", "--size", "64x64"]), "deform": (["--deform", "twist=y:60"], "other"), "resample": (["--resample", "emit", "--deform", "twist=y:60"], "other"),
-    "delta": (["--delta", 20, "--deform", "twist=y:60"], "other"), "save-svo": (["--save-svo", "{deformed.svo}", "--deform", "twist=y:60", "--resample", "resize"], "deformed.svo")}
+    "delta": (["--delta", 20, "--deform", "twist=y:60"], "other"), "no-culling": (["--no-culling"], "same", ["{two.svscene}", "--size", "48x32", "--no-shadows", "--deform", "twist=y:60"]), "save-svo": (["--save-svo", "{deformed.svo}", "--deform", "twist=y:60", "--resample", "resize"], "deformed.svo")}
 DUMP = {
     "json": (["--json"], "text"), "validate": (["--validate"], "text"), "partial": (["--partial"], "damage", ["{damaged.svdag}"]), "table": (["--table"], "text"), "tree": (["--tree", 2], "text"), "histogram": (["--histogram"], "text"),
     "source": (["--validate", "--source", "{c.svo}"], "text"), "voxels": (["--voxels", "{v.ply}"], "v.ply"), "limit": (["--limit", 100000, "--voxels", "{v2.ply}"], "v2.ply"), "html": (["--html", "{page.html}"], "page.html"),
