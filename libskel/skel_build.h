@@ -72,7 +72,7 @@ typedef struct skel_options {
     double omega;                   /* feature size in units, SKEL_MIN_OMEGA..SKEL_MAX_OMEGA */
     double delta;                   /* > 0: stop when the movements of all vertices in a sweep sum up to less (5.5.1);
                                        0: stop when for 8 sweeps no vertex moved by 1e-3 omega */
-    uint64_t max_iterations;        /* sweeps; 0 = 6000 */
+    uint64_t max_iterations;        /* sweeps; 0: 6000, and with the fast method up to 20000 while at most 2000 vertices are left */
     uint64_t max_vertices;          /* of the tessellated mesh; 0 = 8 million */
     skel_method method;
     skel_normalize normalize;

@@ -26,6 +26,9 @@ enum {
     THICK_INTERVAL = 10,   /* sweeps between looks at what is thick */
     SLOW_WORK = 10000000,  /* vertices times sweeps */
     SLOW_COUNT = 20000,    /* vertices that are left then where there is far to go: the quick way costs detail, so others do without */
+    SWEEPS = 6000,         /* unless stated */
+    MOST_SWEEPS = 20000,   /* the same, while no more than FEW vertices are left: fat shapes shrink on for thousands of sweeps that take next to no time */
+    FEW = 2000,
     PARALLEL_FROM = 4096   /* fewer items are not worth a thread */
 };
 #define STILL 1e-3 /* of omega: largest movement of a quiet sweep */
@@ -357,10 +360,24 @@ static svo_result weld_dense(contraction *c, svo_error *err)
     return s->count / DENSE_BALL < balls ? SVO_OK : weld_live(c, &removed, err);
 }
 
+/* May another sweep be made after so many? */
+static bool go_on(const contraction *c, uint64_t made)
+{
+    const uint64_t stated = c->options->max_iterations;
+    return made < (stated != 0 ? stated : c->fast && c->s->count <= FEW ? MOST_SWEEPS : SWEEPS);
+}
+
+static double done(const contraction *c, uint64_t made)
+{
+    const uint64_t stated = c->options->max_iterations;
+    if (stated != 0) return (double)made / (double)stated;
+    return made <= SWEEPS ? 0.9 * (double)made / SWEEPS : 0.9 + 0.1 * (double)(made - SWEEPS) / (MOST_SWEEPS - SWEEPS);
+}
+
 static svo_result run(contraction *c, skel_report *report, svo_error *err)
 {
     const skel_options *o = c->options;
-    uint64_t limit = o->max_iterations != 0 ? o->max_iterations : 6000, last_weld = 0, last_removal = 0;
+    uint64_t last_weld = 0, last_removal = 0;
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
     uint64_t work = 0;
     bool hurry = false;
@@ -371,14 +388,14 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
         if (c->ways) SVO_TRY(skeli_ways(c->pool, c->s, o->threads, c->way, err));
     }
     if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, 0, true, err));
-    for (uint64_t it = 1; it <= limit && !report->converged; it++) {
+    for (uint64_t it = 1; go_on(c, it - 1) && !report->converged; it++) {
         c->merged_lately = it - last_removal <= SETTLED_AFTER;
         SVO_TRY(sweep(c, &m, err));
         if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, m.max, false, err));
         report->iterations = it;
         quiet = m.max < STILL * c->omega ? quiet + 1 : 0;
         report->converged = o->delta > 0 ? m.sum < o->delta * SKEL_LATTICE : quiet >= STILL_SWEEPS;
-        if (o->progress != NULL && !o->progress(o->user, (double)it / (double)limit))
+        if (o->progress != NULL && !o->progress(o->user, done(c, it)))
             return svo_fail(err, SVO_CANCELLED, "cancelled after %llu sweeps", (unsigned long long)it);
         if (!c->fast) continue;
         work += c->s->count;

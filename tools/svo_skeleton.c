@@ -46,7 +46,7 @@ static char *provenance_of(const cli *c, const skeleton_options *o, json_t *inpu
     json_t *how = json_object();
     cli_put_f64(how, "omega", o->omega);
     cli_put_f64(how, "delta", o->delta);
-    cli_put_u64(how, "max_iterations", o->max_iterations);
+    if (o->max_iterations != 0) cli_put_u64(how, "max_iterations", o->max_iterations);
     cli_put_text(how, "method", methods[o->method]);
     cli_put_text(how, "normalize", normalizations[o->normalize]);
     cli_put_text(how, "place", places[o->place]);
@@ -91,7 +91,7 @@ static svo_result run(cli *c, const skeleton_options *o, svo_error *err)
 
 int main(int argc, char **argv)
 {
-    skeleton_options o = {.omega = skel_default_options().omega, .max_iterations = 6000, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .solid_divide = 2, .place = SKEL_PLACE_INSIDE};
+    skeleton_options o = {.omega = skel_default_options().omega, .max_vertices = 8000000, .influences = 4, .smoothing = 8, .solid_divide = 2, .place = SKEL_PLACE_INSIDE};
     cli_option options[] = {
         {.name = "omega", .letter = 'w', .kind = CLI_DOUBLE, .value = &o.omega, .argument = "W", .min = SKEL_MIN_OMEGA, .max = SKEL_MAX_OMEGA, .group = "Curve",
          .help = "Feature size, as a part of the model's size: what is thinner is merged. 0.0125 keeps fingers, 0.025 is enough for limbs and several times as fast."},
@@ -116,8 +116,8 @@ int main(int argc, char **argv)
          .help = "Neighbour search; both give the same result."},
         {.name = "delta", .kind = CLI_DOUBLE, .value = &o.delta, .argument = "D", .min = 0, .max = 1e9, .group = "Contraction",
          .help = "Stop when the movements of all vertices in a sweep sum up to less (0.05 in the thesis); 0: when no vertex moves by omega/1000 for 8 sweeps."},
-        {.name = "max-iterations", .kind = CLI_U64, .value = &o.max_iterations, .argument = "N", .min = 1, .max = 1e9, .group = "Contraction",
-         .help = "Sweeps after which to stop, converged or not; a warning and the report say so."},
+        {.name = "max-iterations", .kind = CLI_U64, .value = &o.max_iterations, .argument = "N", .min = 1, .max = 1e9, .no_default = true, .group = "Contraction",
+         .help = "Sweeps after which to stop, converged or not; a warning and the report say so. Without it 6000, and up to 20000 while at most 2000 vertices are left, which take little time."},
         {.name = "obj", .kind = CLI_TEXT, .value = &o.obj, .argument = "OUT.obj", .no_default = true, .group = "Output", .help = "Write the curve as OBJ lines too."},
         {.name = "swc", .kind = CLI_TEXT, .value = &o.swc, .argument = "OUT.swc", .no_default = true, .group = "Output",
          .help = "Write the curve as trees with radii (SWC) too."},
