@@ -9,6 +9,9 @@
 #include "svo_task.h"
 #include "svoi_quantize.h"
 #include "svoi_compare.h"
+#ifdef __AVX2__
+#include "svoi_compress_avx2.h"
+#endif
 
 /* --- variance cut ------------------------------------------------------------------------------------------------- */
 
@@ -158,7 +161,48 @@ static void assign_leaf(cluster *k, uint64_t begin, uint64_t end, const candidat
     }
 }
 
-/* Squared distances from a box to `count` points: the least to each, and the least of the greatest. */
+/* Squared distances from a box to `count` points: the least to each, and the least of the greatest. With AVX2 up to
+ * three more points are read and distances written. */
+#ifdef __AVX2__
+static __m256d lanes_below(uint32_t count)
+{
+    return _mm256_castsi256_pd(_mm256_cvtepi32_epi64(_mm_cmpgt_epi32(_mm_set1_epi32(count < 4 ? (int)count : 4), _mm_setr_epi32(0, 1, 2, 3))));
+}
+
+static double box_distances(const bounds *b, const candidates *near, uint32_t count, double *restrict least)
+{
+    const __m256d sign = _mm256_set1_pd(-0.0), zero = _mm256_setzero_pd();
+    __m256d low[3], high[3], bound = _mm256_set1_pd(INFINITY);
+    for (int j = 0; j < 3; j++) low[j] = _mm256_set1_pd(b->low[j]), high[j] = _mm256_set1_pd(b->high[j]);
+    for (uint32_t m = 0; m < count; m += 4) {
+        __m256d close = zero, away = zero;
+        for (int j = 0; j < 3; j++) {
+            __m256d p = _mm256_cvtps_pd(_mm_loadu_ps(near->x[j] + m)), below = _mm256_sub_pd(low[j], p), above = _mm256_sub_pd(p, high[j]);
+            __m256d d = _mm256_max_pd(_mm256_max_pd(below, above), zero), far = _mm256_max_pd(_mm256_xor_pd(below, sign), _mm256_xor_pd(above, sign));
+            close = _mm256_add_pd(close, _mm256_mul_pd(d, d));
+            away = _mm256_add_pd(away, _mm256_mul_pd(far, far));
+        }
+        _mm256_storeu_pd(least + m, close);
+        bound = _mm256_min_pd(bound, _mm256_blendv_pd(bound, away, lanes_below(count - m)));
+    }
+    __m128d two = _mm_min_pd(_mm256_castpd256_pd128(bound), _mm256_extractf128_pd(bound, 1));
+    return _mm_cvtsd_f64(_mm_min_sd(two, _mm_unpackhi_pd(two, two)));
+}
+
+/* Those of `count` candidates within the bound, to `kept`; returns their number. Up to four more are written. */
+static uint32_t keep_near(const candidates *near, uint32_t count, double bound, const candidates *kept)
+{
+    uint32_t n = 0;
+    for (uint32_t m = 0; m < count; m += 4) {
+        __m256d within = _mm256_and_pd(_mm256_cmp_pd(_mm256_loadu_pd(near->least + m), _mm256_set1_pd(bound), _CMP_LE_OQ), lanes_below(count - m));
+        uint32_t mask = (uint32_t)_mm256_movemask_pd(within);
+        for (int j = 0; j < 3; j++) keep_floats(kept->x[j] + n, mask, _mm_loadu_ps(near->x[j] + m));
+        keep_words((int32_t *)kept->number + n, mask, _mm_loadu_si128((const __m128i *)(near->number + m)));
+        n += (uint32_t)__builtin_popcount(mask);
+    }
+    return n;
+}
+#else
 static double box_distances(const bounds *b, const candidates *near, uint32_t count, double *restrict least)
 {
     double low[3], high[3], bound = INFINITY;
@@ -178,6 +222,18 @@ static double box_distances(const bounds *b, const candidates *near, uint32_t co
     return bound;
 }
 
+static uint32_t keep_near(const candidates *near, uint32_t count, double bound, const candidates *kept)
+{
+    uint32_t n = 0;
+    for (uint32_t m = 0; m < count; m++) {
+        for (int j = 0; j < 3; j++) kept->x[j][n] = near->x[j][m];
+        kept->number[n] = near->number[m];
+        n += near->least[m] <= bound;
+    }
+    return n;
+}
+#endif
+
 /* The nearest center of every colour below a node, exactly: on the way down only those centers are kept that can be
  * nearest to some point of the node's box (Kanungo et al. 2002). near's `count` are given; space behind them is scratch. */
 static void assign_node(cluster *k, uint32_t level, uint64_t place, const candidates *near, uint32_t count)
@@ -186,12 +242,7 @@ static void assign_node(cluster *k, uint32_t level, uint64_t place, const candid
     node_range(k, level, place, &begin, &end);
     double bound = box_distances(&k->node[((uint64_t)1 << level) - 1 + place], near, count, near->least) * (1 + 1e-9);
     candidates kept = {{near->x[0] + count, near->x[1] + count, near->x[2] + count}, near->number + count, near->least};
-    uint32_t n = 0;
-    for (uint32_t m = 0; m < count; m++) {
-        for (int j = 0; j < 3; j++) kept.x[j][n] = near->x[j][m];
-        kept.number[n] = near->number[m];
-        n += near->least[m] <= bound;
-    }
+    uint32_t n = keep_near(near, count, bound, &kept);
     if (level == k->levels || n == 1) {
         assign_leaf(k, begin, end, &kept, n);
         return;
@@ -207,11 +258,11 @@ static svo_result assign(void *user, uint64_t begin, uint64_t end, uint32_t work
     (void)worker;
     cluster *k = user;
     const svo_allocator *a = k->c->a;
-    uint64_t space = (uint64_t)k->count * (k->levels + 2) + 1; /* what is not kept is written, too */
+    uint64_t space = (uint64_t)k->count * (k->levels + 2) + 4, least = (uint64_t)k->count + 3; /* what is not kept is written, too */
     candidates near;
     for (int j = 0; j < 3; j++) near.x[j] = svo_alloc(a, space, sizeof *near.x[j]);
     near.number = svo_alloc(a, space, sizeof *near.number);
-    near.least = svo_alloc(a, k->count, sizeof *near.least);
+    near.least = svo_alloc(a, least, sizeof *near.least);
     svo_result r = near.x[0] == NULL || near.x[1] == NULL || near.x[2] == NULL || near.number == NULL || near.least == NULL
                        ? svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory (colours)")
                        : SVO_OK;
@@ -225,7 +276,7 @@ static svo_result assign(void *user, uint64_t begin, uint64_t end, uint32_t work
     }
     for (int j = 0; j < 3; j++) svo_free(a, near.x[j], space, sizeof *near.x[j]);
     svo_free(a, near.number, space, sizeof *near.number);
-    svo_free(a, near.least, k->count, sizeof *near.least);
+    svo_free(a, near.least, least, sizeof *near.least);
     return r;
 }
 

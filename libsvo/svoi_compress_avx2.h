@@ -17,13 +17,14 @@
 static const _Alignas(32) int32_t double_order[16][8] = ALL_ORDERS(LANE2);
 static const _Alignas(16) int8_t word_order[16][16] = ALL_ORDERS(LANE4);
 
-/* Lanes `m` of four doubles, and of four words, to `to` and on; all four are written. */
+/* Lanes `m` of four doubles, of four words, and of four floats, to `to` and on; all four are written. */
 INLINE void keep_doubles(double *to, uint32_t m, __m256d x)
 {
     const __m256i order = _mm256_load_si256((const __m256i *)double_order[m]);
     _mm256_storeu_pd(to, _mm256_castsi256_pd(_mm256_permutevar8x32_epi32(_mm256_castpd_si256(x), order)));
 }
 INLINE void keep_words(int32_t *to, uint32_t m, __m128i x) { _mm_storeu_si128((__m128i *)to, _mm_shuffle_epi8(x, _mm_load_si128((const __m128i *)word_order[m]))); }
+INLINE void keep_floats(float *to, uint32_t m, __m128 x) { _mm_storeu_ps(to, _mm_castsi128_ps(_mm_shuffle_epi8(_mm_castps_si128(x), _mm_load_si128((const __m128i *)word_order[m])))); }
 
 /* A mask of doubles as one of words. */
 INLINE __m128i mask_words(__m256d mask)
