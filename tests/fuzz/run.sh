@@ -27,7 +27,7 @@ libfuzzer() { # target, dictionary or nothing
     status=$?
     [ $status -eq 0 ] || found=1
     printf '%-11s exit %d, %s executions, %s edges, peak %s MB\n' "$1" $status "$(sed -n 's/^stat::number_of_executed_units: *//p' "$build/logs/$1.log")" \
-        "$(grep -o 'cov: [0-9]*' "$build/logs/$1.log" | tail -n 1 | cut -d ' ' -f 2)" "$(sed -n 's/^stat::peak_rss_mb: *//p' "$build/logs/$1.log")"
+        "$(grep -ao 'cov: [0-9]*' "$build/logs/$1.log" | tail -n 1 | cut -d ' ' -f 2)" "$(sed -n 's/^stat::peak_rss_mb: *//p' "$build/logs/$1.log")"
 }
 
 afl_stat() { sed -n "s/^$2 *: //p" "$build/afl/$1/default/fuzzer_stats"; }
