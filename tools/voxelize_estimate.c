@@ -15,7 +15,8 @@
 #include "svo_soup.h"
 
 enum {
-    TRIAL_DEPTH = 9, /* also of the one trial that makes what tells inside from outside */
+    TRIAL_DEPTH = 9,
+    INSIDE_DEPTH = 5, /* of the first trial of the inside; others follow, up to TRIAL_DEPTH, while they are short */
     PARTS = 6, PART_VOXELS = 100000, /* tried at the job's own depth */
     LARGER = 16,
     VOXEL_BYTES = 24,  /* more than a voxel takes in a file, with every channel */
@@ -25,6 +26,9 @@ enum {
 };
 
 static const double PART_SECONDS = 0.05;
+static const double INSIDE_SECONDS = 10;  /* a longer trial of the inside is not made, */
+static const double LEAP_SECONDS = 1;     /* and where the next but one takes less than this, not the next */
+static const double INSIDE_CERTAIN = 0.1; /* trials that take less than this do not tell how time grows */
 
 /* A voxel of the trial, from which a part of the grid is chosen. */
 typedef struct probes {
@@ -137,10 +141,10 @@ static svo_result try_parts(const estimate_input *in, const trial *coarse, const
 
 static bool is_solid(const estimate_input *in) { return in->info->fill == SVO_FILL_SOLID; }
 
-/* Deeper than this a solid is estimated as a surface with an inside, of which one trial is made. */
+/* Of the surface. A solid is estimated as one with an inside, of which trials of their own are made. */
 static svo_result trials(const estimate_input *in, uint32_t at, probes *probe, run_estimate *e, trial *fine, svo_error *err)
 {
-    SVO_TRY(try_depth(in, is_solid(in) && at == in->info->depth ? SVO_FILL_SOLID : SVO_FILL_SURFACE, at, 0, 0, probe, fine, err));
+    SVO_TRY(try_depth(in, SVO_FILL_SURFACE, at, 0, 0, probe, fine, err));
     qsort(probe->codes.data, probe->codes.size / 8, 8, by_code);
     e->depth = fine->depth;
     e->trial_voxels = fine->nodes[fine->depth];
@@ -167,25 +171,45 @@ typedef struct inside {
     double volume;  /* in voxels of that depth */
     double bytes;   /* times those of the surface */
     double seconds; /* more for each voxel of the surface: beside it lies what is asked and listed, while what triangles cost is shared by more and more voxels */
+    double everywhere; /* seconds more that grow as the volume does: around meshes that are open, where no place is inside or outside for sure */
     double setup;   /* seconds more, once */
 } inside;
 
 /* Measured: what the inside takes grows by 3.6 from depth 9 to 10 and to 11 while voxels of the surface grow by 4; deeper it is taken to follow them. */
-static double inside_seconds(const inside *i, uint32_t depth) { return i->seconds * pow(0.9, fmin(3, (double)depth - i->depth)); }
-
-static svo_result try_inside(const estimate_input *in, const trial *surface, run_estimate *e, inside *out, svo_error *err)
+static double inside_seconds(const inside *i, uint32_t depth, double surface)
 {
-    trial solid;
-    SVO_TRY(try_depth(in, SVO_FILL_SOLID, surface->depth, 0, 0, NULL, &solid, err));
-    e->trial_seconds += solid.seconds;
-    const double voxels = (double)surface->nodes[surface->depth];
+    return i->seconds * pow(0.9, fmin(3, (double)depth - i->depth)) * surface + ldexp(i->everywhere, 3 * (int)(depth - i->depth));
+}
+
+static svo_result try_inside(const estimate_input *in, const trial *surface, run_estimate *e, trial *last, inside *out, svo_error *err)
+{
+    trial solid, shell = *surface;
+    const uint32_t most = in->info->depth < TRIAL_DEPTH ? in->info->depth : TRIAL_DEPTH; /* as asked for: of whole voxels of a given size a level more may come of it */
+    uint32_t depth = INSIDE_DEPTH < most ? INSIDE_DEPTH : most, levels = 0; /* since the trial before */
+    double before = 0, took = 0;
+    for (uint32_t trials = 0;; trials++, depth += levels) {
+        SVO_TRY(try_depth(in, SVO_FILL_SOLID, depth, 0, 0, NULL, &solid, err));
+        if (depth != most) SVO_TRY(try_depth(in, SVO_FILL_SURFACE, depth, 0, 0, NULL, &shell, err));
+        else shell = *surface;
+        e->trial_seconds += solid.seconds + (depth != most ? shell.seconds : 0);
+        before = took;
+        took = fmax(0, solid.seconds_voxels - shell.seconds_voxels);
+        const uint32_t left = most - depth;
+        if (left == 0 || (trials != 0 && 8 * took > INSIDE_SECONDS)) break;
+        levels = left > 1 && 64 * took < LEAP_SECONDS ? 2 : 1;
+    }
+    const double voxels = (double)shell.nodes[shell.depth];
     /* Half of what the voxels of the surface hold is inside. */
-    *out = (inside){.depth = solid.depth, .volume = (double)solid.nodes[solid.depth] - voxels / 2, .setup = solid.seconds_setup - surface->seconds_setup};
-    if (solid.nodes[solid.depth] == surface->nodes[surface->depth]) out->volume = 0; /* nothing is inside */
-    out->bytes = surface->bytes > 0 ? (double)solid.bytes / (double)surface->bytes : 1;
-    out->seconds = voxels > 0 ? (solid.seconds_voxels - surface->seconds_voxels) / voxels : 0;
-    if (out->seconds < 0) out->seconds = 0;
-    if (out->setup < 0) out->setup = 0;
+    *out = (inside){.depth = solid.depth, .volume = (double)solid.nodes[solid.depth] - voxels / 2, .setup = fmax(0, solid.seconds_setup - shell.seconds_setup)};
+    if (solid.nodes[solid.depth] == shell.nodes[shell.depth]) out->volume = 0; /* nothing is inside */
+    out->bytes = shell.bytes > 0 ? (double)solid.bytes / (double)shell.bytes : 1;
+    /* a part that grows by 4 a level, and one by 8: two trials tell both */
+    double beside = took;
+    if (levels != 0 && took >= INSIDE_CERTAIN) beside = fmin(took, fmax(0, (ldexp(before, 3 * (int)levels) - took) / (ldexp(1, (int)levels) - 1)));
+    out->seconds = voxels > 0 ? beside / voxels : 0;
+    out->everywhere = took - beside;
+    e->inside_depth = solid.depth;
+    *last = solid;
     return SVO_OK;
 }
 
@@ -217,15 +241,22 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
         e.trial_seconds += part.seconds;
         r = try_parts(in, &fine, &probe, surface, LARGER * (double)PART_VOXELS, &part, err);
     }
-    const bool apart = is_solid(in) && depth > fine.depth;
-    if (r == SVO_OK && apart) r = try_inside(in, &fine, &e, &within, err);
+    bool apart = is_solid(in);
+    trial solid;
+    if (r == SVO_OK && apart) r = try_inside(in, &fine, &e, &solid, &within, err);
+    if (r == SVO_OK && apart && within.depth == depth) { /* that was the job */
+        apart = false;
+        e.inside_depth = 0;
+        fine = solid;
+        surface = (double)fine.nodes[depth];
+        e.trial_voxels = fine.nodes[depth];
+    }
     pthread_mutex_destroy(&probe.lock);
     svo_buffer_free(&probe.codes);
     if (r != SVO_OK) return r;
     const trial *t = part.nodes[depth] != 0 ? &part : &fine;
     const double tried = (double)t->nodes[t == &part ? depth : fine.depth];
     e.part_voxels = part.nodes[depth];
-    e.inside = apart;
     e.trial_seconds += part.seconds;
     for (uint32_t l = 0; l <= depth; l++) nodes += level_nodes(&fine, apart ? &within : NULL, l);
     voxels = level_nodes(&fine, apart ? &within : NULL, depth);
@@ -233,7 +264,7 @@ svo_result estimate_run(cli *c, const estimate_input *in, run_estimate *out, svo
     e.nodes = (uint64_t)(nodes + 0.5);
     e.bytes = tried > 0 ? (uint64_t)((double)t->bytes / tried * surface * (apart ? within.bytes : 1)) : fine.bytes;
     e.seconds = in->seconds_before + t->seconds_setup + (apart ? within.setup : 0) +
-                (tried > 0 ? (t->seconds_voxels / tried + (apart ? inside_seconds(&within, depth) : 0)) * surface : t->seconds_voxels);
+                (tried > 0 ? t->seconds_voxels / tried * surface + (apart ? inside_seconds(&within, depth, surface) : 0) : t->seconds_voxels);
     e.temporary = in->spill != NULL ? fmt_spill_count(in->spill).bytes_peak : 0;
     struct rusage usage;
     if (getrusage(RUSAGE_SELF, &usage) == 0) e.memory = (uint64_t)usage.ru_maxrss * 1024;
@@ -260,6 +291,7 @@ void estimate_print(cli *c, const run_estimate *e, const char *output, const fmt
     cli_put_u64(o, "trial_depth", e->depth);
     cli_put_u64(o, "trial_voxels", e->trial_voxels);
     cli_put_u64(o, "part_voxels", e->part_voxels);
+    if (e->inside_depth != 0) cli_put_u64(o, "inside_depth", e->inside_depth);
     cli_put_f64(o, "trial_seconds", e->trial_seconds);
     char folder[PATH_MAX], mount[80];
     uint64_t left;
@@ -271,10 +303,12 @@ void estimate_print(cli *c, const run_estimate *e, const char *output, const fmt
     printf("memory       %.1f MB\n", (double)e->memory / 1e6);
     printf("time         %.1f s\n", e->seconds);
     if (disk) printf("free disk    %.1f MB at %s\n", (double)left / 1e6, mount);
+    char of_inside[80] = "";
+    if (e->inside_depth != 0) snprintf(of_inside, sizeof of_inside, " These are of the surface; inside: the solid at depth %u.", e->inside_depth);
     printf("basis        voxels, nodes: the job at depth %u (%llu voxels), extrapolated; by the area of the surface alone: %.4g voxels.\n"
            "             output, time: parts of the job (%llu voxels), extrapolated; temporary, memory: what these took.%s All that in %.2f s.\n",
            e->depth, (unsigned long long)e->trial_voxels, e->voxels_by_area, (unsigned long long)(e->part_voxels != 0 ? e->part_voxels : e->trial_voxels),
-           e->inside ? " These are of the surface; inside: the solid at that depth." : "", e->trial_seconds);
+           of_inside, e->trial_seconds);
 }
 
 /* Does what tells inside from outside lie in temporary files for sure? (svo_voxelize.c has it in memory where 200 bytes a triangle are less than half.) */

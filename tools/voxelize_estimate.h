@@ -21,7 +21,7 @@ typedef struct run_estimate {
     uint32_t depth;        /* of the trial: a coarser grid, or the grid itself where it is not large */
     uint64_t trial_voxels, part_voxels; /* part: of what was tried at the job's own depth */
     double trial_seconds;
-    bool inside;           /* a solid that was tried as a surface, and its inside at a lower depth */
+    uint32_t inside_depth; /* of the last trial of the inside of a solid; 0: none was made */
     double voxels_by_area;
     uint64_t voxels, nodes, bytes, temporary, memory;
     double seconds;

@@ -159,7 +159,7 @@ def test_order_of_triangles_and_corners_does_not_show(folder):
 
 
 def test_estimates_follow_the_volume(folder):
-    """The dry run tries the surface, and the inside once at a lower depth: a voxel inside has 8 children, one of the surface about 4."""
+    """The dry run tries the surface, and the inside at lower depths: a voxel inside has 8 children, one of the surface about 4."""
     mesh = obj(folder / "s.obj", sphere((0, 0, 0), 1, 40) + sphere((3, 0, 0), 0.5, 24))
     sheet = obj(folder / "q.obj", quad((0, 0, 0), (1, 0.1, 0), (1, 0.1, 1), (0, 0, 1)))
     for path, depth, inside in ((mesh, 9, True), (mesh, 10, True), (mesh, 12, True), (sheet, 10, False)):
@@ -167,6 +167,7 @@ def test_estimates_follow_the_volume(folder):
         r = run("svo-voxelize", path, "--dry-run", "-o", folder / "no.svo", "--report", folder / "e.json", "--force", *args)
         check(not (folder / "no.svo").exists() and ("inside: the solid" in r.text) == (depth > 9), r)
         e = json.loads((folder / "e.json").read_text())["estimate"]
+        check(("inside_depth" in e) == (depth > 9) and 6 <= e.get("inside_depth", 6) <= 9, e)
         o = voxelize(folder, path, *args)[1]["output"]
         for key in ("voxels", "nodes"):
             check(abs(e[key] / o[key] - 1) < 0.03, (depth, key, e, o))
