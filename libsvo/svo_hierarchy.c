@@ -24,6 +24,7 @@ typedef struct builder {
     const svo_allocator *allocator;
     svo_buffer leaves[SVO_MAX_DEPTH + 1]; /* item: full leaves of a level */
     svo_buffer nodes[2];                  /* item */
+    svo_buffer weights;                   /* double: of a cell's samples */
     uint64_t values;
 } builder;
 
@@ -60,6 +61,7 @@ static bool put_values(builder *b, cell_samples of, uint32_t level, uint32_t tim
 {
     const uint64_t i = of.begin, end = of.end;
     const svo_hierarchy_input *in = b->in;
+    double *weights = NULL;
     b->values += times;
     for (uint32_t c = 0; c < in->channel_count; c++) {
         svo_channel_kind kind = in->channels[c].kind;
@@ -71,7 +73,14 @@ static bool put_values(builder *b, cell_samples of, uint32_t level, uint32_t tim
         for (uint64_t k = i + 1; k < end && same; k++) same = memcmp(first, in->values[c] + (uint64_t)in->samples[k].value * stride, stride) == 0;
         if (!same) {
             svo_average sum = {0};
-            for (uint64_t k = i; k < end; k++) svo_average_add(&sum, kind, in->values[c] + (uint64_t)in->samples[k].value * stride, 1);
+            if (weights == NULL && in->weigh != NULL) { /* once for all channels */
+                b->weights.size = 0;
+                weights = svo_buffer_append(&b->weights, NULL, (size_t)(end - i) * sizeof *weights);
+                if (weights == NULL) return false;
+                in->weigh(in->user, in->samples + i, end - i, weights);
+            }
+            for (uint64_t k = i; k < end; k++)
+                svo_average_add(&sum, kind, in->values[c] + (uint64_t)in->samples[k].value * stride, weights != NULL ? weights[k - i] : 1);
             svo_average_get(&sum, kind, first, value);
         }
         if (in->merge != NULL && in->merge->channel == c) in->merge->merge(in->merge->user, in->samples + i, of.inside - i, level, value);
@@ -261,11 +270,13 @@ svo_result svo_hierarchy_build(const svo_hierarchy_input *in, uint32_t threads, 
     svo_buffer_init(&h->bricks, a);
     svo_buffer_init(&b.nodes[0], a);
     svo_buffer_init(&b.nodes[1], a);
+    svo_buffer_init(&b.weights, a);
     if (in->sample_count == 0) make_empty(h, in);
     else result = build(&b, &r, err);
     for (uint32_t l = 0; l <= SVO_MAX_DEPTH; l++) svo_buffer_free(&b.leaves[l]);
     svo_buffer_free(&b.nodes[0]);
     svo_buffer_free(&b.nodes[1]);
+    svo_buffer_free(&b.weights);
     if (result != SVO_OK) {
         svo_hierarchy_free(h);
         return result;

@@ -34,6 +34,9 @@ typedef struct svo_hierarchy_input {
     svo_channel channels[SVO_MAX_CHANNELS]; /* none constant */
     const uint8_t *values[SVO_MAX_CHANNELS]; /* value_count * stride bytes */
     const svo_hierarchy_merge *merge; /* NULL: all channels are averages */
+    /* Weights of a cell's samples in its average, not negative; NULL: all weigh the same. Called by one thread at a time. */
+    void (*weigh)(void *user, const svo_sample *samples, uint64_t count, double *weights);
+    void *user; /* of weigh */
 } svo_hierarchy_input;
 
 typedef struct svo_hierarchy_report {
@@ -45,7 +48,7 @@ typedef struct svo_hierarchy_report {
 } svo_hierarchy_report;
 
 /* An octree in memory, layout plain, inner nodes without attributes. Cells that several samples fill have the average of their values in the order given
- * (labels: the most frequent). Equal inputs give equal octrees whatever the threads (0 = all). SVO_LIMIT beyond 2^32 - 1 values or words a level.
+ * (labels: the one of most weight), the first where nothing weighs anything. Equal inputs give equal octrees whatever the threads (0 = all). SVO_LIMIT beyond 2^32 - 1 values or words a level.
  * Memory: 16 bytes a sample besides the input, and the octree. */
 typedef struct svo_hierarchy svo_hierarchy;
 svo_result svo_hierarchy_build(const svo_hierarchy_input *input, uint32_t threads, const svo_allocator *a, svo_hierarchy **out,

@@ -75,6 +75,39 @@ static double share_of(const gathering *g, const svo_selected *b, const svo_samp
     return share;
 }
 
+/* Optical depth of a share covered; what hides all that is behind it has that of half a byte's step less. */
+static double optical_depth(uint8_t coverage) { return -log1p(-fmin(coverage, 254.5) / 255.0); }
+
+/* What boxes count for in the cell of these samples: the area of the surface that each stands for times the part of it that is there, and its optical depth where some let light pass. */
+static void weigh(void *user, const svo_sample *samples, uint64_t count, double *weights)
+{
+    const gathering *g = user;
+    const uint32_t up = g->cells->depth - samples[0].level;
+    const double *m = g->cells->voxel_to_world, edge = m[0] * (double)(UINT64_C(1) << up);
+    uint32_t cell[3];
+    double from[3];
+    svo_morton_decode(samples[0].code >> 3 * up, &cell[0], &cell[1], &cell[2]);
+    for (int k = 0; k < 3; k++) from[k] = m[4 * k + 3] - g->selection->origin[k] + cell[k] * edge;
+    for (uint64_t i = 0; i < count; i++) {
+        const svo_selected *b = &g->selection->boxes[samples[i].value];
+        double side[3], part = 1, whole = 1;
+        for (int k = 0; k < 3; k++) {
+            const double low = b->low[k] > from[k] ? b->low[k] : from[k], high = b->high[k] < from[k] + edge ? b->high[k] : from[k] + edge;
+            side[k] = (double)b->high[k] - b->low[k];
+            if (!(side[k] > 0)) continue; /* flat */
+            part *= high > low ? high - low : 0;
+            whole *= side[k];
+        }
+        double area = b->area;
+        if (!(area > 0)) {
+            const double xy = side[0] * side[1], yz = side[1] * side[2], zx = side[2] * side[0];
+            area = xy > yz ? xy : yz;
+            area = area > zx ? area : zx;
+        }
+        weights[i] = area * part / whole * (g->values[COVERAGE] != NULL ? optical_depth(g->values[COVERAGE][samples[i].value]) : 1);
+    }
+}
+
 /* Deformed boxes overlap and cells overlap them, so a ray meets several cells for each voxel that it would have met. What they cover together is to be what the voxels do: each box has
  * an optical depth times the area of the surface that it stands for, and shares it out to its cells by the volume that is in them. A cell's depth, as thick as the renderer takes it to be
  * (|n| . edge an axis), is what it got over its volume. What hides all that is behind it does so in every cell that it meets. */
@@ -172,6 +205,7 @@ static svo_result build_octree(svo_resampled *r, gathering *g, uint32_t threads,
     svo_hierarchy_input in = {.depth = r->depth, .sample_count = r->count, .samples = r->samples, .value_count = g->selection->count, .channel_count = 1};
     svo_hierarchy_merge merge = {.merge = merge_coverage, .user = g};
     memcpy(in.voxel_to_world, r->voxel_to_world, sizeof in.voxel_to_world);
+    in.weigh = weigh, in.user = g;
     in.channels[0] = (svo_channel){.name = "normal", .kind = SVO_KIND_NORMAL_OCT32};
     in.values[0] = g->normals;
     for (int c = 0; c < KINDS; c++) {

@@ -17,15 +17,20 @@ typedef struct sheet {
     svo_vec3 n;
     uint8_t coverage;
     double apart; /* of the second one, in voxels; 0: one */
+    bool varied;  /* colours and coverages of each row and column, the latter around `coverage`, where that is below 255 */
 } sheet;
+
+static uint32_t mixed(uint32_t x, uint32_t y, uint32_t what) { return ((x * 73856093u ^ y * 19349663u ^ (what + 1) * 83492791u) * 2654435761u) >> 24; }
+static uint8_t coverage_of(const sheet *s, uint32_t x, uint32_t y) { return (uint8_t)(s->varied && s->coverage != 255 ? s->coverage / 2 + mixed(x, y, 3) % s->coverage : s->coverage); }
 
 static void value_of(void *user, uint32_t channel, uint32_t x, uint32_t y, uint32_t z, uint8_t *out)
 {
     const sheet *s = user;
     const float n[3] = {(float)s->n.x, (float)s->n.y, (float)s->n.z};
-    (void)x, (void)y, (void)z;
+    (void)z;
     if (channel == 0) svo_oct32_encode(n, out);
-    else if (channel == 1) out[0] = s->coverage;
+    else if (channel == 1) out[0] = coverage_of(s, x, y);
+    else if (s->varied) out[0] = (uint8_t)mixed(x, y, 0), out[1] = (uint8_t)mixed(x, y, 1), out[2] = (uint8_t)mixed(x, y, 2);
     else out[0] = 255, out[1] = 128, out[2] = 0;
 }
 
@@ -107,7 +112,7 @@ static void draw_direct(const window *w, uint8_t *pixels)
     svo_selection_free(&s);
 }
 
-static const sheet sheets[] = {{{0, 0, 1}, 128, 0}, {{0.70710678, 0, 0.70710678}, 128, 0}, {{0.57735027, 0.57735027, 0.57735027}, 64, 0}, {{0.2, 0.3, 0.932737905}, 200, 0}};
+static const sheet sheets[] = {{{0, 0, 1}, 128, 0, false}, {{0.70710678, 0, 0.70710678}, 128, 0, false}, {{0.57735027, 0.57735027, 0.57735027}, 64, 0, false}, {{0.2, 0.3, 0.932737905}, 200, 0, false}};
 static const double turns[][4] = {{0, 0, 0, 1}, {0, 0.38268343, 0, 0.92387953}, {0.3, 0.2, -0.5, 0.78740079}};
 
 /* Every sample of a single sheet has exactly the sheet's coverage, and its colour does not depend on it. */
@@ -149,7 +154,7 @@ TEST(the_ends_of_the_range)
     svo_error err;
     for (int end = 0; end < 2; end++) {
         window w;
-        sheet s = {{0, 0, 1}, end == 0 ? 0 : 255, 0};
+        sheet s = {{0, 0, 1}, end == 0 ? 0 : 255, 0, false};
         window_make(&w, &s, turns[0], even, 0, 0, 0.44);
         svo_select_options o = selecting(&w);
         svo_selection boxes;
@@ -216,4 +221,56 @@ TEST(a_sheet_of_cells_covers_what_its_voxels_do_in_the_mean)
                         }
     printf("optical depths %.3f to %.3f of what was asked, those of the mean cover %.3f to %.3f, from %.3f up to a coverage of 64\n", least.mean, most.mean, least.of_mean, most.of_mean, thin.of_mean);
     CHECK(thin.of_mean > 0.95 && least.of_mean > 0.8 && most.of_mean < 1.05); /* what is uneven lets more through, the more so the less there is to let through */
+}
+
+static double overlap(double low, double high, double from, double to) { return fmax(fmin(high, to) - fmax(low, from), 0); }
+
+/* Cells of 1 over voxels of 0.9 that lie in a plane: the colour of a cell is the average of its voxels' by the area of each that is in it, and by its optical depth. */
+TEST(colours_of_cells_are_weighted_by_area_and_optical_depth)
+{
+    static const double size[3] = {0.9, 0.9, 0.9};
+    static const uint8_t coverages[] = {255, 120};
+    svo_error err;
+    uint32_t uneven = 0;
+    for (int c = 0; c < 2; c++) {
+        window w;
+        sheet s = {{0, 0, 1}, coverages[c], 0, true};
+        window_make(&w, &s, turns[0], size, 0, 0, 0);
+        svo_unpose_options o = {.select = selecting(&w), .method = SVO_RESAMPLE_EMIT};
+        svo_unposed *u;
+        o.select.frustum = o.select.occlusion = false;
+        CHECK_OK(svo_unpose(&w.scene, &o, &u, NULL, &err));
+        const svo_view *v = svo_unposed_view(u);
+        const uint32_t color = svo_view_find_channel(v, "color");
+        CHECK(color < v->channel_count && fabs(v->voxel_to_world[0] - 1) < 1e-9);
+        for (int y = -12; y < 12 && !test_failed(); y++)
+            for (int x = -12; x < 12; x++) {
+                double sum[3] = {0, 0, 0}, weight = 0, plain[3] = {0, 0, 0};
+                uint32_t count = 0;
+                for (uint32_t j = 0; j < SIDE; j++)
+                    for (uint32_t i = 0; i < SIDE; i++) {
+                        const double part = overlap(0.9 * i - 14.4, 0.9 * i - 13.5, x, x + 1) * overlap(0.9 * j - 14.4, 0.9 * j - 13.5, y, y + 1);
+                        const double n = part * -log(1 - fmin(coverage_of(&s, i, j), 254.5) / 255.0);
+                        if (part == 0) continue;
+                        weight += n, count++;
+                        for (uint32_t k = 0; k < 3; k++) {
+                            const double light = svo_srgb_to_linear((uint8_t)mixed(i, j, k));
+                            sum[k] += n * light, plain[k] += light;
+                        }
+                    }
+                uint64_t index = 0;
+                uint8_t got[SVO_MAX_STRIDE];
+                const double *m = v->voxel_to_world;
+                CHECK(svo_view_voxel(v, (uint32_t)lrint(x - m[3]), (uint32_t)lrint(y - m[7]), (uint32_t)lrint(-m[11]), &index));
+                svo_view_attribute(v, color, index, got);
+                for (int k = 0; k < 3; k++) {
+                    const int expected = svo_linear_to_srgb((float)(sum[k] / weight));
+                    CHECK_MSG(abs(got[k] - expected) <= 1, "coverage %u, cell %d, %d: %d, not %d", s.coverage, x, y, got[k], expected);
+                    uneven += abs(expected - svo_linear_to_srgb((float)(plain[k] / count))) > 3;
+                }
+            }
+        svo_unposed_free(u);
+        packer_free(w.view);
+    }
+    CHECK_MSG(uneven > 1000, "%u averages differ from plain ones", uneven);
 }
