@@ -18,8 +18,8 @@ typedef struct svo_select_options {
     bool frustum;           /* leave out what is outside the picture (3.2.3) */
     bool occlusion;         /* leave out what is behind nearer boxes at every sample (3.2.7, with depths of this picture: nothing that a sample shows is lost) */
     double overhang[2];     /* cells reach beyond their box by less than these many times its shortest and its longest side; 0: boxes are drawn as they are */
-    bool whole;             /* ignore the size in the picture: down to the finest voxels everywhere, or to nodes whose boxes are at most ... */
-    double edge;            /* ... so long, scene units; 0: finest voxels alone */
+    bool whole;             /* ignore the size in the picture: down to the finest voxels everywhere */
+    double edge;            /* with `whole`: a node whose box is at most so long on every axis (scene units) is taken as it is too; 0: finest voxels alone */
     uint32_t threads;       /* 0 = all */
     const svo_allocator *allocator;
 } svo_select_options;

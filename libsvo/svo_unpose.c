@@ -60,19 +60,40 @@ typedef struct gathering {
     uint8_t mirror;                        /* metallic of assets that have neither it nor a roughness */
 } gathering;
 
-/* The part of a box that is in a cell. */
-static double share_of(const gathering *g, const svo_selected *b, const svo_sample *s)
+typedef struct cell_box { double low[3], edge; } cell_box; /* relative to the selection's origin, as its boxes */
+
+static cell_box cell_of(const gathering *g, const svo_sample *s)
 {
-    const double edge = ldexp(g->cells->voxel_to_world[0], (int)(g->cells->depth - s->level));
-    const double *m = g->cells->voxel_to_world, *origin = g->selection->origin;
+    const uint32_t up = g->cells->depth - s->level;
+    const double *m = g->cells->voxel_to_world;
+    cell_box c = {.edge = ldexp(m[0], (int)up)};
     uint32_t cell[3];
-    double share = 1;
-    svo_morton_decode(s->code >> 3 * (g->cells->depth - s->level), &cell[0], &cell[1], &cell[2]);
+    svo_morton_decode(s->code >> 3 * up, &cell[0], &cell[1], &cell[2]);
+    for (int k = 0; k < 3; k++) c.low[k] = m[4 * k + 3] - g->selection->origin[k] + cell[k] * c.edge;
+    return c;
+}
+
+/* The part of a box that is in a cell; what is flat on an axis is in it there. */
+static double share_of(const svo_selected *b, const cell_box *c)
+{
+    double part = 1, whole = 1;
     for (int k = 0; k < 3; k++) {
-        const double low = m[4 * k + 3] - origin[k] + cell[k] * edge, length = (double)b->high[k] - b->low[k];
-        if (length > 0) share *= fmin(fmax(fmin(b->high[k], low + edge) - fmax(b->low[k], low), 0) / length, 1);
+        const double low = b->low[k] > c->low[k] ? b->low[k] : c->low[k], high = b->high[k] < c->low[k] + c->edge ? b->high[k] : c->low[k] + c->edge, side = (double)b->high[k] - b->low[k];
+        if (!(side > 0)) continue;
+        part *= high > low ? high - low : 0;
+        whole *= side;
     }
-    return share;
+    return part / whole;
+}
+
+/* Of the surface that a box stands for; of one whose asset hides all that is behind it, the largest of its sides. */
+static double area_of(const svo_selected *b)
+{
+    double side[3];
+    if (b->area > 0) return b->area;
+    for (int k = 0; k < 3; k++) side[k] = (double)b->high[k] - b->low[k];
+    const double xy = side[0] * side[1], yz = side[1] * side[2], zx = side[2] * side[0];
+    return fmax(fmax(xy, yz), zx);
 }
 
 /* Optical depth of a share covered; what hides all that is behind it has that of half a byte's step less. */
@@ -82,29 +103,10 @@ static double optical_depth(uint8_t coverage) { return -log1p(-fmin(coverage, 25
 static void weigh(void *user, const svo_sample *samples, uint64_t count, double *weights)
 {
     const gathering *g = user;
-    const uint32_t up = g->cells->depth - samples[0].level;
-    const double *m = g->cells->voxel_to_world, edge = m[0] * (double)(UINT64_C(1) << up);
-    uint32_t cell[3];
-    double from[3];
-    svo_morton_decode(samples[0].code >> 3 * up, &cell[0], &cell[1], &cell[2]);
-    for (int k = 0; k < 3; k++) from[k] = m[4 * k + 3] - g->selection->origin[k] + cell[k] * edge;
+    const cell_box cell = cell_of(g, &samples[0]);
     for (uint64_t i = 0; i < count; i++) {
         const svo_selected *b = &g->selection->boxes[samples[i].value];
-        double side[3], part = 1, whole = 1;
-        for (int k = 0; k < 3; k++) {
-            const double low = b->low[k] > from[k] ? b->low[k] : from[k], high = b->high[k] < from[k] + edge ? b->high[k] : from[k] + edge;
-            side[k] = (double)b->high[k] - b->low[k];
-            if (!(side[k] > 0)) continue; /* flat */
-            part *= high > low ? high - low : 0;
-            whole *= side[k];
-        }
-        double area = b->area;
-        if (!(area > 0)) {
-            const double xy = side[0] * side[1], yz = side[1] * side[2], zx = side[2] * side[0];
-            area = xy > yz ? xy : yz;
-            area = area > zx ? area : zx;
-        }
-        weights[i] = area * part / whole * (g->values[COVERAGE] != NULL ? optical_depth(g->values[COVERAGE][samples[i].value]) : 1);
+        weights[i] = area_of(b) * share_of(b, &cell) * (g->values[COVERAGE] != NULL ? optical_depth(g->values[COVERAGE][samples[i].value]) : 1);
     }
 }
 
@@ -125,8 +127,9 @@ static void merge_coverage(void *user, const svo_sample *samples, uint64_t count
             return;
         }
         if (coverage == 0) continue;
+        const cell_box cell = cell_of(g, &samples[i]); /* of one inside this cell: its own */
         svo_oct32_decode(b->normal, n);
-        sum -= log1p(-coverage / 255.0) * b->area * (fabsf(n[0]) + fabsf(n[1]) + fabsf(n[2])) * share_of(g, b, &samples[i]);
+        sum -= log1p(-coverage / 255.0) * b->area * (fabsf(n[0]) + fabsf(n[1]) + fabsf(n[2])) * share_of(b, &cell);
     }
     /* Bytes are coarse for what covers little, so they are rounded up and down at random (by the place of the cell): right in the mean. */
     const uint64_t mixed = ((samples[0].code << 5 | samples[0].level) + 1) * 0x9e3779b97f4a7c15u;

@@ -38,14 +38,18 @@ struct svo_async *sources_add(void *user, const char *path, const uint8_t *bytes
         s->list = list;
         s->capacity = capacity;
     }
-    source n = {.path = strdup(path), .hash = malloc(33)};
-    if (n.path == NULL || n.hash == NULL) {
+    source n = {.path = strdup(path), .hash = s->names_only ? NULL : malloc(33)};
+    if (n.path == NULL || (n.hash == NULL && !s->names_only)) {
         free(n.path);
         free(n.hash);
         s->failed = true;
         return NULL;
     }
     sources_work now = {.bytes = bytes, .size = size, .mapped = mapped, .hash = n.hash};
+    if (s->names_only) {
+        s->list[s->count++] = n;
+        return NULL;
+    }
     if (s->beside && size >= HASHED_BESIDE) {
         sources_settle(s); /* one thread more, not one a file */
         n.work = malloc(sizeof *n.work);
@@ -137,14 +141,30 @@ static svo_result depfile_text(const sources *s, const char *target, svo_buffer 
     return broken ? svo_fail(err, SVO_UNSUPPORTED, "--depfile: a file name with a line break cannot be written down for Make") : SVO_OK;
 }
 
-svo_result sources_depfile(const sources *s, const char *path, const char *target, bool force, svo_error *err)
+static svo_result spares_sources(const sources *s, const char *path, svo_error *err)
 {
-    if (s->failed) return no_memory(err);
     struct stat old, other;
+    if (s->failed) return no_memory(err);
     if (stat(path, &old) == 0 && S_ISREG(old.st_mode))
         for (size_t i = 0; i < s->count; i++)
             if (stat(s->list[i].path, &other) == 0 && other.st_dev == old.st_dev && other.st_ino == old.st_ino)
                 return svo_fail(err, SVO_INVALID_ARGUMENT, "--depfile %.100s would overwrite a file that was read", path);
+    return SVO_OK;
+}
+
+svo_result sources_check_depfile(const sources *s, const char *path, bool force, svo_error *err)
+{
+    fmt_output *out;
+    if (path == NULL) return SVO_OK;
+    SVO_TRY(spares_sources(s, path, err));
+    SVO_TRY(fmt_output_open(path, force, &out, err));
+    fmt_output_discard(out);
+    return SVO_OK;
+}
+
+svo_result sources_depfile(const sources *s, const char *path, const char *target, bool force, svo_error *err)
+{
+    SVO_TRY(spares_sources(s, path, err));
     svo_buffer text;
     svo_buffer_init(&text, NULL);
     fmt_output *out = NULL;

@@ -269,12 +269,12 @@ typedef struct page {
     double origin[3];
     uint32_t deepest, level; /* level: the finest that is on the page */
     bool crowded;            /* of the last level that was too much: by its nodes, whatever their bytes */
-    const dump_still *still; /* NULL: no instance has a pose */
+    const dump_baked *baked; /* NULL: no instance has a pose */
     json_t *assets;
     packer data;
 } page;
 
-static uint32_t finest_of(const page *p, uint32_t i) { return p->still != NULL ? p->still->finest[i] : p->scene->assets[i]->tree_depth; }
+static uint32_t finest_of(const page *p, uint32_t i) { return p->baked != NULL ? p->baked->finest[i] : p->scene->assets[i]->tree_depth; }
 
 /* Fill assets and data with everything cut at p->level; SVO_CANCELLED when that is too much. */
 static svo_result fill(page *p, uint64_t room, svo_error *err)
@@ -343,8 +343,8 @@ static json_t *meta_json(const page *p)
     json_object_set_new(o, "instance_names", names);
     json_object_set_new(o, "camera", camera_json(s));
     cli_put_u64(o, "dropped_levels", p->deepest - p->level);
-    cli_put_u64(o, "posed", p->still != NULL ? p->still->posed : 0);
-    cli_put_u64(o, "rested", p->still != NULL ? p->still->rested : 0);
+    cli_put_u64(o, "posed", p->baked != NULL ? p->baked->posed : 0);
+    cli_put_u64(o, "rested", p->baked != NULL ? p->baked->rested : 0);
     json_object_set_new(o, "summary", summary);
     return o;
 }
@@ -434,12 +434,12 @@ static svo_result choose_level(page *p, uint64_t page_size, svo_error *err)
     }
     return svo_fail(err, SVO_LIMIT, "the page would be larger than %llu bytes even without any detail (%llu assets, %llu instances); raise --html-size%s",
                     (unsigned long long)page_size, (unsigned long long)p->scene->asset_count, (unsigned long long)p->scene->instance_count,
-                    p->still != NULL && p->still->posed != 0 ? " or leave poses out (--rest)" : "");
+                    p->baked != NULL && p->baked->posed != 0 ? " or leave poses out (--rest)" : "");
 }
 
 static void tell_poses(const page *p)
 {
-    const dump_still *t = p->still;
+    const dump_baked *t = p->baked;
     json_t *html = json_object_get(cli_section(p->job->c, "output"), "html");
     cli_put_u64(html, "posed_instances", t != NULL ? t->posed : 0);
     cli_put_u64(html, "poses_left_out", t != NULL ? t->rested : 0);
@@ -452,9 +452,9 @@ static void tell_poses(const page *p)
                  p->job->export.rest ? "" : " (it goes beyond the range of numbers, or there are more than 8192 poses)");
 }
 
-static svo_result make_page(dump_job *j, const svo_scene *scene, const dump_still *still, fmt_output *o, svo_error *err)
+static svo_result make_page(dump_job *j, const svo_scene *scene, const dump_baked *baked, fmt_output *o, svo_error *err)
 {
-    page p = {.job = j, .scene = scene, .assets = json_array(), .still = still};
+    page p = {.job = j, .scene = scene, .assets = json_array(), .baked = baked};
     double low[3], high[3];
     svo_buffer_init(&p.data.out, j->allocator);
     if (svo_scene_bounds(scene, low, high))
@@ -485,16 +485,16 @@ static svo_result make_page(dump_job *j, const svo_scene *scene, const dump_stil
 svo_result dump_html(dump_job *j, svo_error *err)
 {
     cli_scene s;
-    dump_still still = {0};
+    dump_baked baked = {0};
     fmt_output *o = NULL;
     SVO_TRY(fmt_output_open(j->html, j->c->force, &o, err)); /* before the work, so that a bad place is known at once */
     svo_result r = cli_scene_open(j->c, j->path, j->data, j->size, j->allocator, NULL, &s, err);
     if (r == SVO_OK) {
         const bool posed = s.scene->instance_pose != NULL;
         if (j->export.rest && strcmp(s.kind, "svscene") != 0) r = svo_fail(err, SVO_INVALID_ARGUMENT, "--rest is for scenes");
-        if (r == SVO_OK && posed) r = dump_still_make(j->c, s.scene, j->export.rest, j->allocator, &still, err);
-        if (r == SVO_OK) r = make_page(j, posed ? &still.scene : s.scene, posed ? &still : NULL, o, err);
-        dump_still_free(&still);
+        if (r == SVO_OK && posed) r = dump_bake(j->c, s.scene, j->export.rest, j->allocator, &baked, err);
+        if (r == SVO_OK) r = make_page(j, posed ? &baked.scene : s.scene, posed ? &baked : NULL, o, err);
+        dump_baked_free(&baked);
         cli_scene_close(&s);
     }
     if (r == SVO_OK) return fmt_output_commit(o, err);

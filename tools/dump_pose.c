@@ -83,7 +83,7 @@ static svo_result find_finest(const svo_view *v, uint32_t *finest, svo_error *er
 }
 
 /* Octree `i` of the list; none where numbers do not reach. */
-static svo_result pose_one(cli *c, const svo_scene *s, dump_still *p, uint64_t i, bool *coarser, svo_error *err)
+static svo_result pose_one(cli *c, const svo_scene *s, dump_baked *p, uint64_t i, bool *coarser, svo_error *err)
 {
     const uint32_t zero = 0, asset = p->pairs.pair[i].asset;
     const svo_view *v = s->assets[asset];
@@ -121,7 +121,7 @@ static svo_result pose_one(cli *c, const svo_scene *s, dump_still *p, uint64_t i
 
 /* ---- the scene ------------------------------------------------------------------------------------------------------ */
 
-static svo_result allocate(dump_still *p, const svo_scene *s, svo_error *err)
+static svo_result allocate(dump_baked *p, const svo_scene *s, svo_error *err)
 {
     const uint64_t n = p->pairs.count;
     if (n > UINT32_MAX - 1) return svo_fail(err, SVO_LIMIT, "%llu pairs of asset and pose are too many", (unsigned long long)n);
@@ -137,7 +137,7 @@ static svo_result allocate(dump_still *p, const svo_scene *s, svo_error *err)
                                                                                                                        : svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the poses");
 }
 
-static void fill_assets(dump_still *p, const svo_scene *s)
+static void fill_assets(dump_baked *p, const svo_scene *s)
 {
     char *at = p->names;
     for (uint64_t i = 0; i < p->pairs.count; i++) {
@@ -152,9 +152,9 @@ static void fill_assets(dump_still *p, const svo_scene *s)
     }
 }
 
-svo_result dump_still_make(cli *c, const svo_scene *s, bool rest, const svo_allocator *a, dump_still *out, svo_error *err)
+svo_result dump_bake(cli *c, const svo_scene *s, bool rest, const svo_allocator *a, dump_baked *out, svo_error *err)
 {
-    dump_still p = {.allocator = a};
+    dump_baked p = {.allocator = a};
     bool *coarser = NULL;
     svo_result r = dump_pairs_find(s, rest, a, &p.pairs, err);
     if (r == SVO_OK && !rest && p.pairs.count > MOST_PAIRS) {
@@ -183,11 +183,11 @@ svo_result dump_still_make(cli *c, const svo_scene *s, bool rest, const svo_allo
     }
     svo_free(a, coarser, p.pairs.count, sizeof *coarser);
     if (r == SVO_OK) *out = p;
-    else dump_still_free(&p);
+    else dump_baked_free(&p);
     return r;
 }
 
-void dump_still_free(dump_still *p)
+void dump_baked_free(dump_baked *p)
 {
     const svo_allocator *a = p->allocator;
     for (uint64_t i = 0; p->octree != NULL && i < p->pairs.count; i++) svo_unposed_free(p->octree[i]);
@@ -198,5 +198,5 @@ void dump_still_free(dump_still *p)
     svo_free(a, p->names, p->names_size, 1);
     svo_free(a, p->asset, p->scene.instance_count, sizeof *p->asset);
     dump_pairs_free(&p->pairs);
-    *p = (dump_still){0};
+    *p = (dump_baked){0};
 }

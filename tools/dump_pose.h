@@ -19,7 +19,7 @@ svo_result dump_pairs_find(const svo_scene *s, bool rest, const svo_allocator *a
 uint64_t dump_pairs_index(const dump_pairs *p, const svo_scene *s, bool rest, uint64_t instance);
 void dump_pairs_free(dump_pairs *p);
 
-typedef struct dump_still {
+typedef struct dump_baked {
     svo_scene scene;  /* without poses: an asset for each pair; the source's instances, pages and names. Borrows from the source. */
     uint64_t posed;   /* instances that had a pose and look so */
     uint64_t rested;  /* that had one and stand as if they had not: numbers do not reach so far, or there are more than 2^13 pairs (then all) */
@@ -33,13 +33,13 @@ typedef struct dump_still {
     char *names;
     uint64_t names_size;
     uint32_t *asset;
-} dump_still;
+} dump_baked;
 
 /* Every pose resampled to cells (svo_unpose, method EMIT) in the coordinates of its asset's mesh, so that the instances' transforms stay what they are. Does not depend on the number of
  * threads. Memory: about 300 bytes a node of the largest pair, up to 2 KiB where its pose
  * stretches nodes, and the octrees. */
-svo_result dump_still_make(cli *c, const svo_scene *s, bool rest, const svo_allocator *a, dump_still *out, svo_error *err);
+svo_result dump_bake(cli *c, const svo_scene *s, bool rest, const svo_allocator *a, dump_baked *out, svo_error *err);
 /* A zeroed one is fine. */
-void dump_still_free(dump_still *p);
+void dump_baked_free(dump_baked *p);
 
 #endif

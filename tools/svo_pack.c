@@ -291,7 +291,7 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
 
 static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, const char *depfile, svo_error *err)
 {
-    sources read = {0};
+    sources read = {.names_only = true};
     svo_limit_allocator limit;
     svo_limit_allocator_init(&limit, c->memory != 0 ? c->memory : UINT64_MAX, NULL);
     o->voxelize.threads = o->dag.threads = (uint32_t)c->threads;
@@ -307,8 +307,10 @@ static svo_result run(cli *c, fmt_scene_build_options *o, uint64_t budget, const
     svo_result result = budget != 0 ? fit_budget(c, o, budget, err) : SVO_OK;
     if (depfile != NULL) o->file_read = sources_add, o->file_read_user = &read;
     if (result == SVO_OK) result = fmt_scene_build_open(c->inputs[0], o, &b, err);
+    if (result == SVO_OK) result = sources_check_depfile(&read, depfile, c->force, err);
     if (result != SVO_OK) {
         fmt_output_discard(out);
+        fmt_scene_build_close(b);
         sources_free(&read);
         if (result == SVO_OUT_OF_MEMORY && c->memory != 0 && svo_limit_peak(&limit) > 0) {
             svo_error inner = *err;

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "cli_quality.h"
+#include "cli_sources.h"
 #include "fmt_import.h"
 #include "fmt_spill.h"
 #include "fmt_svo.h"
@@ -15,7 +16,6 @@
 #include "voxelize_join.h"
 #include "voxelize_points.h"
 #include "voxelize_shard.h"
-#include "cli_sources.h"
 
 static const char *const fills[] = {"surface", "solid", NULL};
 static const char *const disks[] = {"fast", "small", NULL};
@@ -380,6 +380,7 @@ static svo_result run(cli *c, const tool_options *o, svo_error *err)
         } else {
             if (r == SVO_OK) r = plan(c, o, &mesh, &limit, &j, err);
             if (r == SVO_OK) r = estimate(c, o, &mesh, &j, &limit, err);
+            if (r == SVO_OK && !o->dry_run) r = sources_check_depfile(&read, o->depfile, c->force, err);
             if (r == SVO_OK && !o->dry_run) r = write_tree(c, o, &mesh, &j, &limit, err);
             if (r == SVO_OK && !o->dry_run && o->depfile != NULL) r = sources_depfile(&read, o->depfile, c->output, c->force, err);
         }

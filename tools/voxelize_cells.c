@@ -4,11 +4,11 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "cli_sources.h"
 #include "fmt_import_voxels.h"
 #include "fmt_svo.h"
 #include "fmt_volume.h"
 #include "svo_math.h"
-#include "cli_sources.h"
 
 bool voxelize_is_cells(const char *path)
 {
@@ -173,7 +173,8 @@ static svo_result make(cli *c, const cells_options *o, const fmt_bytes *b, const
         r = print_key(o, read, provenance, err);
     } else if (r == SVO_OK) {
         cli_phase(c, "write");
-        r = write_file(c, o, &g, provenance, a, err);
+        r = sources_check_depfile(read, o->depfile, c->force, err);
+        if (r == SVO_OK) r = write_file(c, o, &g, provenance, a, err);
         if (r == SVO_OK && o->depfile != NULL) r = sources_depfile(read, o->depfile, c->output, c->force, err);
     }
     cli_phase(c, NULL);

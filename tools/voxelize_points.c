@@ -6,13 +6,13 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "cli_sources.h"
 #include "fmt_points.h"
 #include "fmt_spill.h"
 #include "fmt_svo.h"
 #include "svo_bin.h"
 #include "svo_morton.h"
 #include "svo_samples.h"
-#include "cli_sources.h"
 
 enum { BATCH = 1 << 12 };
 
@@ -337,6 +337,7 @@ static svo_result run(job *j, json_t *inputs, svo_error *err)
     }
     cli_phase(c, "plan");
     SVO_TRY(plan(j, err));
+    SVO_TRY(sources_check_depfile(&j->read, j->o->depfile, c->force, err));
     SVO_TRY(make(j, err));
     return j->o->depfile != NULL ? sources_depfile(&j->read, j->o->depfile, c->output, c->force, err) : SVO_OK;
 }

@@ -124,7 +124,7 @@ private:
         if (std::strcmp(type, "preview") == 0) {
             if (length < 8) return false;
             const std::uint64_t width = number(), height = number();
-            return width <= length && height <= length && 8 + 4 * width * height == length;
+            return width * height <= length && 8 + 4 * width * height == length; // (both have 32 bits)
         }
         if (std::strcmp(type, "stringvector") == 0) {
             while (at_ < end) {

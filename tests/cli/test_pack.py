@@ -204,8 +204,10 @@ def test_depfile(folder):
     support.run("svo-pack", s, "-o", out, "--depth", 4, "-MD", "--budget", "1M", "-f")
     check((odd / "o.svscene.d").read_bytes() == dep.read_bytes(), "-MD writes the same rule beside the output")
     before = (odd / "m.mtl").read_bytes()
-    check(tool("svo-pack", s, "-o", out, "--depfile", odd / "m.mtl", "-f").code == 1 and (odd / "m.mtl").read_bytes() == before)
-    check(tool("svo-pack", s, "-o", folder / "q.svscene", "--depfile", dep).code == 2 and dep.exists())
+    none = folder / "q.svscene"
+    check(tool("svo-pack", s, "-o", none, "--depfile", odd / "m.mtl", "-f").code == 1 and (odd / "m.mtl").read_bytes() == before and not none.exists(), "a scene is left by a run that failed")
+    check(tool("svo-pack", s, "-o", none, "--depfile", dep).code == 2 and dep.exists() and not none.exists())
+    check(tool("svo-pack", s, "-o", none, "--depfile", folder / "no/x.d").code == 2 and not none.exists())
     for wrong in (["-o", "-", "-MD"], ["-o", out, "-f", "-MD", "--depfile", dep], ["-o", out, "-f", "--depfile", out]):
         check(tool("svo-pack", s, *wrong).code == 1, wrong)
     # a glTF scene and the files beside it

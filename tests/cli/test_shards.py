@@ -273,8 +273,12 @@ def test_depfile(folder):
     # never over a file that was read, nor over another one without --force
     before = (odd / "m.mtl").read_bytes()
     r = tool("svo-voxelize", mesh, "-o", folder / "p.svo", "--depth", 4, "--depfile", odd / "m.mtl", "--force")
-    check(r.code == 1 and (odd / "m.mtl").read_bytes() == before, r)
-    check(tool("svo-voxelize", mesh, "-o", folder / "q.svo", "--depth", 4, "--depfile", dep).code == 2)
+    check(r.code == 1 and (odd / "m.mtl").read_bytes() == before and not (folder / "p.svo").exists(), r)
+    check(tool("svo-voxelize", mesh, "-o", folder / "q.svo", "--depth", 4, "--depfile", dep).code == 2 and not (folder / "q.svo").exists())
+    (folder / "c.xyz").write_text("0 0 0\n1 2 3\n")
+    check(tool("svo-voxelize", folder / "c.xyz", "-o", folder / "q.svo", "--depth", 4, "--depfile", dep).code == 2 and not (folder / "q.svo").exists())
+    r = tool("svo-voxelize", folder / "c.raw", "--raw", "2x1x1:u8", "-o", folder / "q.svo", "--depfile", dep) if (folder / "c.raw").write_bytes(b"\1\1") else None
+    check(r.code == 2 and "exists" in r.err and not (folder / "q.svo").exists(), r)
     run("svo-voxelize", mesh, "-o", out, "--depth", 4, "-MD", "--force")
     beside = out.parent / (out.name + ".d")
     check(beside.read_bytes() == dep.read_bytes(), "-MD writes the same rule beside the output")
