@@ -22,6 +22,12 @@ typedef struct fmt_scene_bytes {
 svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
                            fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err);
 
+/* The same with a provenance that is made when everything else is written: it may tell of sizes. `tell` gets asset_bytes, which must be there, and gives the text,
+ * which free() frees; NULL is SVO_OUT_OF_MEMORY. */
+typedef char *(*fmt_scene_tell_fn)(void *user, const uint64_t *asset_bytes);
+svo_result fmt_scene_write_telling(fmt_output *out, const svo_scene *scene, fmt_scene_tell_fn tell, void *user, const svo_allocator *a, fmt_scene_bytes *bytes,
+                                   uint64_t *asset_bytes, svo_error *err);
+
 enum { FMT_SCENE_ARRAYS = 6 };
 
 /* An opened file. Arrays of `scene` point into the file's bytes, which must outlive it. All hashes are checked,

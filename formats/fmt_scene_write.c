@@ -1,4 +1,5 @@
 /* Writing .svscene. */
+#include <stdlib.h>
 #include <string.h>
 #define XXH_STATIC_LINKING_ONLY
 #include <xxhash.h>
@@ -120,7 +121,7 @@ static svo_result put_assets(scene_writer *w, const svo_scene *s, const svo_allo
     return result;
 }
 
-static svo_result put_all(scene_writer *w, const svo_scene *s, const char *provenance, const svo_allocator *a, fmt_scene_bytes *bytes, uint64_t *each, svo_error *err)
+static svo_result put_all(scene_writer *w, const svo_scene *s, const svo_allocator *a, fmt_scene_bytes *bytes, uint64_t *each, svo_error *err)
 {
     SVO_TRY(build_head(w, s, err));
     SVO_TRY(put(w, HEAD, 0, w->head.data, w->head.size, 0, &bytes->rest, err));
@@ -132,12 +133,27 @@ static svo_result put_all(scene_writer *w, const svo_scene *s, const char *prove
         camera[16] = s->camera_yfov;
         SVO_TRY(put(w, CAMR, 0, camera, sizeof camera, 0, &bytes->rest, err));
     }
-    SVO_TRY(put_assets(w, s, a, bytes, each, err));
-    return fmt_writer_meta(w->container, provenance, err);
+    return put_assets(w, s, a, bytes, each, err);
 }
 
-svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
-                           fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err)
+typedef struct provenance_source {
+    const char *text;       /* where tell is NULL */
+    fmt_scene_tell_fn tell;
+    void *user;
+} provenance_source;
+
+static svo_result put_provenance(scene_writer *w, const provenance_source *p, const uint64_t *each, svo_error *err)
+{
+    if (p->tell == NULL) return fmt_writer_meta(w->container, p->text, err);
+    char *text = p->tell(p->user, each);
+    if (text == NULL) return svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the provenance of a scene");
+    const svo_result r = fmt_writer_meta(w->container, text, err);
+    free(text);
+    return r;
+}
+
+static svo_result write_scene(fmt_output *out, const svo_scene *scene, const provenance_source *provenance, const svo_allocator *a, fmt_scene_bytes *bytes, uint64_t *asset_bytes,
+                              svo_error *err)
 {
     fmt_scene_bytes sizes = {0};
     SVO_TRY(fmti_scene_check(scene, false, SVO_INVALID_ARGUMENT, a, NULL, err));
@@ -146,7 +162,8 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
     svo_buffer_init(&w.head, a);
     svo_buffer_init(&w.names, a);
     SVO_TRY(fmt_writer_begin(out, FMT_KIND_SCENE, MAJOR, 0, &w.container, err));
-    svo_result result = put_all(&w, scene, provenance, a, &sizes, asset_bytes, err);
+    svo_result result = put_all(&w, scene, a, &sizes, asset_bytes, err);
+    if (result == SVO_OK) result = put_provenance(&w, provenance, asset_bytes, err);
     if (result == SVO_OK) result = fmt_writer_end(w.container, err);
     else fmt_writer_discard(w.container);
     svo_buffer_free(&w.head);
@@ -155,4 +172,18 @@ svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *
     sizes.rest = fmt_output_offset(out) - before - sizes.assets - sizes.instances - sizes.pages - sizes.names - sizes.poses;
     if (bytes != NULL) *bytes = sizes;
     return SVO_OK;
+}
+
+svo_result fmt_scene_write(fmt_output *out, const svo_scene *scene, const char *provenance, const svo_allocator *a,
+                           fmt_scene_bytes *bytes, uint64_t *asset_bytes, svo_error *err)
+{
+    const provenance_source p = {.text = provenance};
+    return write_scene(out, scene, &p, a, bytes, asset_bytes, err);
+}
+
+svo_result fmt_scene_write_telling(fmt_output *out, const svo_scene *scene, fmt_scene_tell_fn tell, void *user, const svo_allocator *a, fmt_scene_bytes *bytes,
+                                   uint64_t *asset_bytes, svo_error *err)
+{
+    const provenance_source p = {.tell = tell, .user = user};
+    return write_scene(out, scene, &p, a, bytes, asset_bytes, err);
 }

@@ -152,6 +152,8 @@ svo_chunk_source cli_watch_source(cli_watch *w, cli *c, const char *what, uint64
 /* JSON text for META: tool, version, options that influence the result (an object, stolen) and inputs (an array of
  * cli_provenance_input, stolen; may be NULL). Sorted keys, one line; NULL when out of memory; freed with free(). */
 char *cli_provenance(const cli *c, json_t *options, json_t *inputs);
+/* The same with what was left out (an array, stolen; NULL: it does not say). */
+char *cli_provenance_with(const cli *c, json_t *options, json_t *inputs, json_t *left_out);
 /* {"name": last part of path, "hash": hash}. hash may be NULL (left out). New reference. */
 json_t *cli_provenance_input(const char *path, const char *hash);
 /* The options as given and by default, {"depth": 8, ...}: those of the tool (common = false) or the common ones. New

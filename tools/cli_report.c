@@ -238,13 +238,16 @@ json_t *cli_provenance_input(const char *path, const char *hash)
     return entry;
 }
 
-char *cli_provenance(const cli *c, json_t *options, json_t *inputs)
+char *cli_provenance(const cli *c, json_t *options, json_t *inputs) { return cli_provenance_with(c, options, inputs, NULL); }
+
+char *cli_provenance_with(const cli *c, json_t *options, json_t *inputs, json_t *left_out)
 {
     json_t *out = json_object();
     cli_put_text(out, "tool", c->tool->name);
     cli_put_text(out, "version", SVO_VERSION_STRING);
     json_object_set_new(out, "options", options != NULL ? options : json_object());
     json_object_set_new(out, "inputs", inputs != NULL ? inputs : json_array());
+    if (left_out != NULL) json_object_set_new(out, "left_out", left_out);
     char *text = json_dumps(out, JSON_SORT_KEYS | JSON_COMPACT | JSON_REAL_PRECISION(17));
     json_decref(out);
     return text;

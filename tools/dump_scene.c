@@ -181,6 +181,8 @@ static void summarise(dump_job *j, const fmt_scene *f, const uint64_t *uses)
     put_instances(j->json, s);
     dump_sections(j, &f->container);
     dump_provenance(j->json, f->provenance);
+    json_t *left = json_object_get(json_object_get(j->json, "provenance"), "left_out"); /* svo-pack's; of other writers there is none */
+    if (json_is_array(left)) json_object_set(j->json, "left_out", left);
 }
 
 svo_result dump_scene(dump_job *j, svo_error *err)

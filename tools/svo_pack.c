@@ -141,6 +141,53 @@ static void report_left_out(json_t *list, const fmt_scene_build *b, const fmt_sc
     if (s->instance_name == NULL && s->instance_count != 0) left_out(list, "names of instances: none has one", s->instance_count, "instances", s->instance_count * 4);
 }
 
+/* The one of a list that says so; a new one where there is none. */
+static json_t *find_what(json_t *list, const char *what)
+{
+    json_t *o;
+    size_t i;
+    json_array_foreach(list, i, o)
+        if (strcmp(json_string_value(json_object_get(o, "what")), what) == 0) return o;
+    o = json_object();
+    cli_put_text(o, "what", what);
+    json_array_append_new(list, o);
+    return o;
+}
+
+/* Entries of report_left_out by what they are, without the names of assets: what, count and bytes_saved. New reference. */
+static json_t *sum_up(const json_t *list)
+{
+    json_t *out = json_array();
+    const json_t *entry, *value;
+    const char *key;
+    size_t i;
+    json_array_foreach(list, i, entry) {
+        json_t *to = find_what(out, json_string_value(json_object_get(entry, "what")));
+        uint64_t count = 0;
+        json_object_foreach((json_t *)(uintptr_t)entry, key, value)
+            if (json_is_integer(value) && strcmp(key, "bytes") != 0) count = (uint64_t)json_integer_value(value); /* the other number */
+        cli_put_u64(to, "count", (uint64_t)json_integer_value(json_object_get(to, "count")) + count);
+        cli_put_u64(to, "bytes_saved", (uint64_t)json_integer_value(json_object_get(to, "bytes_saved")) + (uint64_t)json_integer_value(json_object_get(entry, "bytes")));
+    }
+    return out;
+}
+
+typedef struct telling { const cli *c; const fmt_scene_build *b; } telling;
+
+/* The text for META: a fmt_scene_tell_fn. */
+static char *tell_provenance(void *user, const uint64_t *asset_bytes)
+{
+    const telling *t = user;
+    uint32_t count;
+    const fmt_scene_build_asset *assets = fmt_scene_build_assets(t->b, &count);
+    json_t *options = cli_options_json(t->c, false), *list = json_array();
+    json_object_del(options, "depfile"), json_object_del(options, "depfile-beside"); /* the same bytes with and without */
+    report_left_out(list, t->b, assets, count, asset_bytes);
+    json_t *sums = sum_up(list);
+    json_decref(list);
+    return cli_provenance_with(t->c, options, inputs_of(t->c, t->b), sums);
+}
+
 static void report_scene(cli *c, const fmt_scene_build *b, const fmt_scene_bytes *bytes, const uint64_t *asset_bytes, uint64_t total)
 {
     const svo_scene *s = fmt_scene_build_scene(b);
@@ -205,12 +252,10 @@ static svo_result write_scene(cli *c, const fmt_scene_build *b, const svo_alloca
     const svo_scene *s = fmt_scene_build_scene(b);
     fmt_scene_bytes bytes;
     uint64_t *asset_bytes = svo_calloc(a, s->asset_count, sizeof *asset_bytes), total;
-    json_t *options = cli_options_json(c, false);
-    json_object_del(options, "depfile"), json_object_del(options, "depfile-beside"); /* the same bytes with and without */
-    char *provenance = cli_provenance(c, options, inputs_of(c, b));
-    svo_result result = provenance == NULL || (asset_bytes == NULL && s->asset_count != 0) ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the report") : SVO_OK;
+    telling t = {c, b};
+    svo_result result = asset_bytes == NULL && s->asset_count != 0 ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the report") : SVO_OK;
     cli_phase(c, "write");
-    if (result == SVO_OK) result = fmt_scene_write(out, s, provenance, a, &bytes, asset_bytes, err);
+    if (result == SVO_OK) result = fmt_scene_write_telling(out, s, tell_provenance, &t, a, &bytes, asset_bytes, err);
     total = fmt_output_offset(out);
     if (result == SVO_OK) result = fmt_output_commit(out, err);
     else fmt_output_discard(out);
@@ -220,7 +265,6 @@ static svo_result write_scene(cli *c, const fmt_scene_build *b, const svo_alloca
         cli_info(c, "%u assets, %llu instances in %u pages, %llu bytes", s->asset_count, (unsigned long long)s->instance_count, s->page_count,
                  (unsigned long long)total);
     }
-    free(provenance);
     svo_free(a, asset_bytes, s->asset_count, sizeof *asset_bytes);
     return result;
 }
@@ -238,14 +282,19 @@ static svo_result bytes_at(const cli *c, const fmt_scene_build_options *o, uint3
     trial.progress = NULL;
     svo_buffer_init(&file, o->dag.allocator);
     SVO_TRY(fmt_scene_build_open(c->inputs[0], &trial, &b, err));
-    svo_result result = fmt_output_open_memory(&file, &out, err);
+    const svo_scene *s = fmt_scene_build_scene(b);
+    telling t = {c, b};
+    uint64_t *asset_bytes = svo_calloc(o->dag.allocator, s->asset_count, sizeof *asset_bytes);
+    svo_result result = asset_bytes == NULL && s->asset_count != 0 ? svo_fail(err, SVO_OUT_OF_MEMORY, "no memory for the sizes of assets") : SVO_OK;
+    if (result == SVO_OK) result = fmt_output_open_memory(&file, &out, err);
     if (result == SVO_OK) {
-        result = fmt_scene_write(out, fmt_scene_build_scene(b), NULL, o->dag.allocator, NULL, NULL, err);
+        result = fmt_scene_write_telling(out, s, tell_provenance, &t, o->dag.allocator, NULL, asset_bytes, err);
         if (result == SVO_OK) result = fmt_output_commit(out, err);
         else fmt_output_discard(out);
     }
     *bytes = file.size;
     svo_buffer_free(&file);
+    svo_free(o->dag.allocator, asset_bytes, s->asset_count, sizeof *asset_bytes);
     fmt_scene_build_close(b);
     return result;
 }
@@ -254,7 +303,6 @@ static svo_result bytes_at(const cli *c, const fmt_scene_build_options *o, uint3
  * together, three times over. */
 static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget, svo_error *err)
 {
-    enum { META_ROOM = 4096 }; /* provenance, which trials leave out */
     uint32_t best = 0, depth = o->depth < 5 ? 0 : 5;
     bool fits = false;
     uint64_t bytes = 0, before = 0;
@@ -271,7 +319,7 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
         cli_put_u64(t, "depth", depth);
         cli_put_u64(t, "bytes", bytes);
         json_array_append_new(tried, t);
-        if (bytes + META_ROOM > budget) {
+        if (bytes > budget) {
             if (fits || depth == 0) break;
             o->depth = depth - 1; /* too much even at the coarsest depth tried: look below it */
             depth = (uint32_t)-1;
@@ -282,8 +330,7 @@ static svo_result fit_budget(cli *c, fmt_scene_build_options *o, uint64_t budget
         before = bytes;
     }
     json_object_set_new(cli_section(c, "output"), "budget_tried", tried);
-    if (!fits) return svo_fail(err, SVO_LIMIT, "the scene takes up to %llu bytes with single voxels for its meshes, %u of them for its provenance: more than the %llu of --budget",
-                               (unsigned long long)bytes + META_ROOM, (unsigned)META_ROOM, (unsigned long long)budget);
+    if (!fits) return svo_fail(err, SVO_LIMIT, "the scene takes %llu bytes with single voxels for its meshes: more than the %llu of --budget", (unsigned long long)bytes, (unsigned long long)budget);
     o->depth = best;
     cli_info(c, "depth %u for a budget of %llu bytes", best, (unsigned long long)budget);
     return SVO_OK;

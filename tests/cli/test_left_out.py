@@ -23,6 +23,11 @@ def pack(scene, out, *args):
     return found
 
 
+def dumped(path):
+    """What svo-dump says was left out: {what: (count, bytes_saved)}."""
+    return {o["what"]: (o["count"], o["bytes_saved"]) for o in json.loads(support.run("svo-dump", path, "--json").out)["left_out"]}
+
+
 def describe(folder, instances, assets=(("a", "a.obj"),), poses=()):
     path = folder / "scene.json"
     scene = {"assets": [{"name": n, "file": f} for n, f in assets], "instances": instances}
@@ -82,6 +87,32 @@ def test_assets(folder):
     near(one(found, "asset equal"), alone["bytes_by_part"]["assets"], ALIGNMENT)
     check(found["bytes_by_part"]["assets"] == alone["bytes_by_part"]["assets"], (found, alone))
     check(one(found, "asset that no visible") == path.stat().st_size, found)
+    # the file itself tells of it
+    told = dumped(folder / "o.svscene")
+    check(set(told) == set(found["saved"]) and all(told[w][1] == sum(o["bytes"] for o in l) for w, l in found["saved"].items()), (told, found["saved"]))
+    check(told["asset that no visible instance names"][0] == told["asset equal to another one"][0] == 1, told)
+    check("left out" in support.run("svo-dump", folder / "o.svscene").text)
+
+
+def test_a_budget_holds_with_many_names(folder):
+    """The provenance of 300 assets takes more than all of them do: it counts."""
+    assets = []
+    for i in range(300):
+        support.cube_obj(folder / ("a cube with a long name, number %d.obj" % i), size=1 + i)
+        assets.append(("n%d" % i, "a cube with a long name, number %d.obj" % i))
+    scene = describe(folder, [{"asset": n} for n, _ in assets], assets)
+    fitted = 0
+    for budget in (10000, 500000, 1000000, 3000000):
+        r = tool("svo-pack", scene, "-o", folder / "b.svscene", "-f", "-q", "--budget", budget, "--report", folder / "r.json")
+        if r.code == 6:
+            continue
+        found = json.loads((folder / "r.json").read_text())["output"]
+        tried = {t["depth"]: t["bytes"] for t in found["budget_tried"]}
+        fits = [d for d in tried if tried[d] <= budget]
+        check(r.code == 0 and found["bytes"] == (folder / "b.svscene").stat().st_size == tried[max(fits)] <= budget, (budget, str(r), tried))
+        check(all(tried[d] > budget for d in tried if d > max(fits)), (budget, tried))
+        fitted += 1
+    check(fitted >= 2, "no budget was enough")
 
 
 def test_poses(folder):
