@@ -29,7 +29,8 @@ enum {
     SWEEPS = 6000,         /* unless stated */
     MOST_SWEEPS = 20000,   /* the same, while no more than FEW vertices are left: fat shapes shrink on for thousands of sweeps that take next to no time */
     FEW = 2000,
-    PARALLEL_FROM = 4096   /* fewer items are not worth a thread */
+    PARALLEL_FROM = 4096,  /* fewer items are not worth a thread: they are one block */
+    GRAIN = 1024           /* items of a block otherwise */
 };
 #define STILL 1e-3 /* of omega: largest movement of a quiet sweep */
 
@@ -45,16 +46,20 @@ typedef struct contraction {
     float *way;         /* that each vertex has left before it meets another part of the surface */
     uint32_t thick;     /* vertices with any */
     bool ways;          /* are known: where there are few vertices there is no need */
+    skel_flann *flann;  /* NULL: the grid */
+    bool same;          /* vertices (and radii of their balls) as in the sweep before */
+    bool placed;        /* points are where vertices are, fast method */
     /* search */
     int32_t *point;
     uint32_t *point_weight, *point_of, *order;
     uint64_t *key;
     skel_ball_sum *sum;
+    struct movement *moved; /* of each block of vertices */
 } contraction;
 
 static svo_result each(const contraction *c, uint64_t count, svo_range_fn fn, void *user)
 {
-    return svo_parallel_for(count < PARALLEL_FROM ? 1 : c->options->threads, count, count < PARALLEL_FROM ? count : 1024, fn, user, NULL);
+    return svo_parallel_for(count < PARALLEL_FROM ? 1 : c->options->threads, count, count < PARALLEL_FROM ? count : GRAIN, fn, user, NULL);
 }
 
 /* --- ball means --------------------------------------------------------------------------------------------------- */
@@ -84,136 +89,146 @@ static uint64_t distinct_points(contraction *c)
     return points;
 }
 
-static svo_result ball_means(contraction *c, svo_error *err)
+static svo_result ball_sums(contraction *c, svo_error *err)
+{
+    uint64_t points = c->s->count;
+    const uint8_t *doublings = c->thick > 0 ? c->doublings : NULL;
+    if (!c->fast) {
+        points = distinct_points(c);
+    } else if (!c->placed) {
+        for (uint64_t i = 0; i < 3 * points; i++) c->point[i] = (int32_t)c->s->position[i];
+        memcpy(c->point_weight, c->s->weight, points * sizeof *c->point_weight);
+        c->placed = true;
+    }
+    if (c->flann == NULL) SVO_TRY(skel_radius_grid(c->options->allocator, c->point, c->point_weight, doublings, points, c->omega / SKEL_LATTICE, c->options->threads, c->sum, err));
+    else SVO_TRY(skel_flann_sums(c->flann, c->point, c->point_weight, doublings, points, c->same && c->fast, c->sum, err));
+    c->same = true;
+    return SVO_OK;
+}
+
+/* --- a sweep ------------------------------------------------------------------------------------------------------ */
+
+typedef struct movement { double sum, max; } movement; /* lattice steps; sum over original vertices */
+
+/* Four numbers a vertex, of which three are used: vectors of four are added in one step. They lie as doubles do. */
+typedef double four __attribute__((vector_size(32), aligned(8)));
+
+/* A smoothing step. The first learns the thickness of each vertex before it, the last moves it after it: both concern the vertex alone, and threads meet once less for each. */
+typedef struct smoothing {
+    contraction *c;
+    const four *from;
+    four *to;
+    bool first, last;
+} smoothing;
+
+static void area(skeli_state *s, uint64_t t)
+{
+    const uint32_t *c = s->corner + 3 * t;
+    s->area[t] = skeli_area(s->position + 3 * (uint64_t)c[0], s->position + 3 * (uint64_t)c[1], s->position + 3 * (uint64_t)c[2]);
+}
+
+/* Items are vertices, then triangles. */
+static svo_result means_and_areas(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    (void)worker;
+    (void)err;
+    const smoothing *m = user;
+    const contraction *c = m->c;
+    const uint64_t vertices = c->s->count;
+    for (uint64_t k = begin > vertices ? begin : vertices; k < end; k++) area(c->s, k - vertices);
+    for (uint64_t i = begin; i < end && i < vertices; i++) {
+        const skel_ball_sum *b = &c->sum[c->fast ? i : c->point_of[i]];
+        const double *p = c->s->position + 3 * i, weight = (double)b->weight;
+        double *mean = c->s->mean + 3 * i;
+        mean[0] = (double)b->x / weight;
+        mean[1] = (double)b->y / weight;
+        mean[2] = (double)b->z / weight;
+        m->to[i] = (four){p[0], p[1], p[2], 0};
+    }
+    return SVO_OK;
+}
+
+static double thickness(const skeli_state *s, uint64_t i)
+{
+    double a = 0;
+    for (uint32_t k = s->incident_start[i]; k < s->incident_start[i + 1]; k++) a += s->area[s->incident[k]];
+    const double b = s->rho[i] > 0 && s->edge_start[i + 1] > s->edge_start[i] ? a / s->rho[i] : 0;
+    return b < 1 ? b : 1;
+}
+
+/* Take the step to `target`. A vertex that keeps turning round where it should rest is slowed down: such cycles come
+ * from balls that gain and lose a member each sweep. The movement is measured before damping: slowing a vertex down is not convergence. */
+static void move(const contraction *c, uint64_t i, const four target, movement *m)
 {
     skeli_state *s = c->s;
-    uint64_t points = s->count;
+    const double noise = 1e-10 * c->omega * c->omega;
+    double step[3], length2 = 0, last2 = 0, along = 0, *last = s->step + 3 * i, *p = s->position + 3 * i;
+    for (int k = 0; k < 3; k++) {
+        step[k] = target[k] - p[k];
+        length2 += step[k] * step[k];
+        last2 += last[k] * last[k];
+        along += step[k] * last[k];
+    }
+    double length = sqrt(length2), f = 1;
+    m->sum += length * s->weight[i];
+    if (length > m->max) m->max = length;
     if (c->fast) {
-        for (uint64_t i = 0; i < 3 * points; i++) c->point[i] = (int32_t)s->position[i];
-        memcpy(c->point_weight, s->weight, points * sizeof *c->point_weight);
-    } else {
-        points = distinct_points(c);
+        if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i]++;
+        if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 * (s->reversals[i] - REVERSALS_FREE));
+        if (f < 0.02) f = 0.02;
     }
-    double radius = c->omega / SKEL_LATTICE;
-    if (c->options->search == SKEL_SEARCH_GRID)
-        SVO_TRY(skel_radius_grid(c->options->allocator, c->point, c->point_weight, c->thick > 0 ? c->doublings : NULL, points, radius, c->options->threads, c->sum, err));
-    else
-        SVO_TRY(skel_radius_flann(c->point, c->point_weight, c->thick > 0 ? c->doublings : NULL, points, radius, c->options->threads, c->sum, err));
-    for (uint64_t i = 0; i < s->count; i++) {
-        const skel_ball_sum *b = &c->sum[c->fast ? i : c->point_of[i]];
-        s->mean[3 * i] = (double)b->x / (double)b->weight;
-        s->mean[3 * i + 1] = (double)b->y / (double)b->weight;
-        s->mean[3 * i + 2] = (double)b->z / (double)b->weight;
+    for (int k = 0; k < 3; k++) {
+        last[k] = f * step[k];
+        p[k] = rint(p[k] + last[k]);
+        if (c->fast) c->point[3 * i + (uint64_t)k] = (int32_t)p[k];
     }
-    return SVO_OK;
+    if (c->ways) c->way[i] -= (float)(2 * f * length); /* what it is on its way to may come as fast */
 }
-
-/* --- thickness and smoothing -------------------------------------------------------------------------------------- */
-
-static svo_result triangle_areas(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    (void)err;
-    skeli_state *s = user;
-    for (uint64_t t = begin; t < end; t++) {
-        const uint32_t *c = s->corner + 3 * t;
-        s->area[t] = skeli_area(s->position + 3 * (uint64_t)c[0], s->position + 3 * (uint64_t)c[1], s->position + 3 * (uint64_t)c[2]);
-    }
-    return SVO_OK;
-}
-
-static svo_result thickness(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
-{
-    (void)worker;
-    (void)err;
-    skeli_state *s = user;
-    for (uint64_t i = begin; i < end; i++) {
-        double a = 0;
-        for (uint32_t k = s->incident_start[i]; k < s->incident_start[i + 1]; k++) a += s->area[s->incident[k]];
-        double b = s->rho[i] > 0 && s->edge_start[i + 1] > s->edge_start[i] ? a / s->rho[i] : 0;
-        s->beta[i] = b < 1 ? b : 1;
-    }
-    return SVO_OK;
-}
-
-typedef struct smoothing { const skeli_state *s; const double *from; double *to; } smoothing;
 
 static svo_result smooth(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     (void)worker;
     (void)err;
     const smoothing *m = user;
-    const skeli_state *s = m->s;
+    skeli_state *s = m->c->s;
+    movement moved = {0, 0};
     for (uint64_t i = begin; i < end; i++) {
-        double b = s->beta[i], q[3] = {0, 0, 0};
-        const double *mean = s->mean + 3 * i;
-        double *to = m->to + 3 * i;
-        uint64_t first = s->edge_start[i], last = s->edge_start[i + 1];
+        if (m->first) s->beta[i] = thickness(s, i);
+        const double b = s->beta[i];
+        const four mean = {s->mean[3 * i], s->mean[3 * i + 1], s->mean[3 * i + 2], 0};
+        const uint64_t first = s->edge_start[i], last = s->edge_start[i + 1];
+        four to = mean, sum = {0, 0, 0, 0};
         if (b > 0) {
-            for (uint64_t e = first; e < last; e++) {
-                const double *p = m->from + 3 * (uint64_t)s->edge[2 * e + 1];
-                for (int k = 0; k < 3; k++) q[k] += p[k];
-            }
-            double inverse = 1.0 / (double)(last - first);
-            for (int k = 0; k < 3; k++) to[k] = mean[k] + b * (q[k] * inverse - mean[k]);
-        } else {
-            memcpy(to, mean, 3 * sizeof *to);
+            for (uint64_t e = first; e < last; e++) sum += m->from[s->edge[2 * e + 1]];
+            to = mean + b * (sum * (1.0 / (double)(last - first)) - mean);
         }
+        if (m->last) move(m->c, i, to, &moved);
+        else m->to[i] = to;
     }
+    if (m->last) m->c->moved[begin / GRAIN] = moved;
     return SVO_OK;
 }
 
-/* --- moving ------------------------------------------------------------------------------------------------------- */
-
-typedef struct movement { double sum, max; } movement; /* lattice steps; sum over original vertices */
-
-/* Take the step to `target` (replaced by what was reached). A vertex that keeps turning round where it should rest is slowed down: such cycles come
- * from balls that gain and lose a member each sweep. The movement is measured before damping: slowing a vertex down is not convergence. */
-static movement move(contraction *c, double *target)
-{
-    skeli_state *s = c->s;
-    movement m = {0, 0};
-    double noise = 1e-10 * c->omega * c->omega;
-    for (uint64_t i = 0; i < s->count; i++) {
-        double step[3], length2 = 0, last2 = 0, along = 0, *last = s->step + 3 * i, *p = s->position + 3 * i;
-        for (int k = 0; k < 3; k++) {
-            step[k] = target[3 * i + (uint64_t)k] - p[k];
-            length2 += step[k] * step[k];
-            last2 += last[k] * last[k];
-            along += step[k] * last[k];
-        }
-        double length = sqrt(length2), f = 1;
-        m.sum += length * s->weight[i];
-        if (length > m.max) m.max = length;
-        if (c->fast) {
-            if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i]++;
-            if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 * (s->reversals[i] - REVERSALS_FREE));
-            if (f < 0.02) f = 0.02;
-        }
-        for (int k = 0; k < 3; k++) {
-            last[k] = f * step[k];
-            p[k] = rint(p[k] + last[k]);
-        }
-        if (c->ways) c->way[i] -= (float)(2 * f * length); /* what it is on its way to may come as fast */
-    }
-    return m;
-}
-
+/* What is read while vertices move are the copies that the last smoothing step began from. */
 static svo_result sweep(contraction *c, movement *m, svo_error *err)
 {
     skeli_state *s = c->s;
-    SVO_TRY(ball_means(c, err));
-    SVO_TRY(each(c, s->triangle_count, triangle_areas, s));
-    SVO_TRY(each(c, s->count, thickness, s));
-    double *from = s->position, *to = s->next, *spare = s->next + 3 * (uint64_t)s->original_count;
-    int steps = c->fast ? SMOOTHING_STEPS : 1;
+    SVO_TRY(ball_sums(c, err));
+    smoothing work = {.c = c, .to = (four *)s->next};
+    const int steps = c->fast ? SMOOTHING_STEPS : 1;
+    SVO_TRY(each(c, s->count + (uint64_t)s->triangle_count, means_and_areas, &work));
     for (int i = 0; i < steps; i++) {
-        smoothing work = {s, from, to};
+        work.from = work.to;
+        work.to = (four *)s->next + (i % 2 == 0 ? s->original_count : 0);
+        work.first = i == 0;
+        work.last = i == steps - 1;
         SVO_TRY(each(c, s->count, smooth, &work));
-        from = to;
-        to = to == s->next ? spare : s->next;
     }
-    *m = move(c, from);
+    *m = (movement){0, 0};
+    for (uint64_t k = 0; k * GRAIN < s->count; k += s->count < PARALLEL_FROM ? PARALLEL_FROM : 1) { /* blocks of each() */
+        m->sum += c->moved[k].sum;
+        if (c->moved[k].max > m->max) m->max = c->moved[k].max;
+    }
     return SVO_OK;
 }
 
@@ -295,10 +310,13 @@ static svo_result begin_state(skeli_pool *pool, const skeli_soup *mesh, skeli_st
 }
 
 /* A group has the shortest way of its members. */
-static void collapse(contraction *c, uint32_t groups)
+static svo_result collapse(contraction *c, uint32_t groups, svo_error *err)
 {
     skeli_state *s = c->s;
     float *shortest = (float *)c->sum; /* not in use between sweeps */
+    c->placed = false;
+    if (c->thick > 0) c->same = false; /* a group may get another radius */
+    if (c->flann != NULL && c->same) SVO_TRY(skel_flann_weld(c->flann, s->label, groups, err));
     if (c->ways) {
         for (uint32_t g = 0; g < groups; g++) shortest[g] = INFINITY;
         for (uint32_t i = 0; i < s->count; i++)
@@ -307,16 +325,18 @@ static void collapse(contraction *c, uint32_t groups)
         if (c->thick > 0) c->thick = skeli_doublings(c->way, groups, c->omega, c->doublings);
     }
     skeli_collapse(s, groups);
+    return SVO_OK;
 }
 
 /* Thick parts: wider balls, and clusters of a quarter of their radius. */
-static void weld_thick(contraction *c)
+static svo_result weld_thick(contraction *c, svo_error *err)
 {
     skeli_state *s = c->s;
     c->thick = skeli_doublings(c->way, s->count, c->omega, c->doublings);
-    if (c->thick == 0) return;
+    c->same = false;
+    if (c->thick == 0) return SVO_OK;
     const uint32_t clusters = skeli_cluster(s, c->omega / 4, c->doublings);
-    if (clusters < s->count) collapse(c, clusters);
+    return clusters < s->count ? collapse(c, clusters, err) : SVO_OK;
 }
 
 static svo_result weld_live(contraction *c, uint32_t *removed, svo_error *err)
@@ -324,8 +344,7 @@ static svo_result weld_live(contraction *c, uint32_t *removed, svo_error *err)
     uint32_t groups;
     SVO_TRY(skeli_weld(c->options->allocator, c->s->position, c->s->count, NULL, c->omega / 8, c->s->label, &groups, err));
     *removed = c->s->count - groups;
-    if (groups < c->s->count) collapse(c, groups);
-    return SVO_OK;
+    return groups < c->s->count ? collapse(c, groups, err) : SVO_OK;
 }
 
 /* Equation 5.7.1: area of the tessellated mesh with its vertices where they were contracted to, percent of the original. (Sums of
@@ -356,7 +375,7 @@ static svo_result weld_dense(contraction *c, svo_error *err)
     SVO_TRY(skeli_weld(c->options->allocator, s->position, s->count, NULL, c->omega, s->label, &balls, err));
     if (s->count / CLUSTER_BALL < balls) return SVO_OK;
     uint32_t clusters = skeli_cluster(s, c->omega / 2, NULL);
-    if (clusters < s->count) collapse(c, clusters);
+    if (clusters < s->count) SVO_TRY(collapse(c, clusters, err));
     return s->count / DENSE_BALL < balls ? SVO_OK : weld_live(c, &removed, err);
 }
 
@@ -401,7 +420,7 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
         work += c->s->count;
         hurry = hurry || (c->ways && work >= SLOW_WORK && c->s->count >= SLOW_COUNT);
         if (hurry && it % THICK_INTERVAL == 0) {
-            weld_thick(c);
+            SVO_TRY(weld_thick(c, err));
             if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, c->omega / 4 * (1 << SKELI_MOST_DOUBLINGS), false, err));
         }
         if (it - last_weld < interval) continue;
@@ -430,7 +449,8 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
     c.sum = skeli_take(pool, n, sizeof *c.sum);
     c.doublings = skeli_take(pool, n, sizeof *c.doublings);
     c.way = skeli_take(pool, n, sizeof *c.way);
-    bool ok = c.point != NULL && c.point_weight != NULL && c.sum != NULL && c.doublings != NULL && c.way != NULL;
+    c.moved = skeli_take(pool, n / GRAIN + 1, sizeof *c.moved);
+    bool ok = c.point != NULL && c.point_weight != NULL && c.sum != NULL && c.doublings != NULL && c.way != NULL && c.moved != NULL;
     if (!c.fast) {
         c.point_of = skeli_take(pool, n, sizeof *c.point_of);
         c.order = skeli_take(pool, n, sizeof *c.order);
@@ -438,13 +458,17 @@ svo_result skeli_contract(skeli_pool *pool, const skeli_soup *mesh, const skel_o
         ok = ok && c.point_of != NULL && c.order != NULL && c.key != NULL;
     }
     if (!ok) return skeli_no_memory(err);
-    SVO_TRY(run(&c, report, err));
+    if (options->search != SKEL_SEARCH_GRID) SVO_TRY(skel_flann_open(options->omega, options->threads, &c.flann, err));
+    const svo_result result = run(&c, report, err);
+    skel_flann_close(c.flann);
+    SVO_TRY(result);
     report->thinness_error = thinness_error(mesh, s);
     skeli_give(pool, c.point);
     skeli_give(pool, c.point_weight);
     skeli_give(pool, c.sum);
     skeli_give(pool, c.doublings);
     skeli_give(pool, c.way);
+    skeli_give(pool, c.moved);
     skeli_give(pool, c.point_of);
     skeli_give(pool, c.order);
     skeli_give(pool, c.key);

@@ -59,7 +59,7 @@ void skeli_sort_by64(uint32_t *order, uint32_t *scratch, uint64_t count, const u
 }
 
 /* One stable counting sort by element `by` of each tuple. */
-static void sort_by(const uint32_t *from, uint32_t *to, uint64_t count, uint32_t width, uint32_t by, uint32_t n, uint32_t *bucket)
+static inline void sort_by(const uint32_t *from, uint32_t *to, uint64_t count, uint32_t width, uint32_t by, uint32_t n, uint32_t *bucket)
 {
     memset(bucket, 0, ((size_t)n + 1) * sizeof *bucket);
     for (uint64_t i = 0; i < count; i++) bucket[from[i * width + by] + 1]++;
@@ -70,7 +70,7 @@ static void sort_by(const uint32_t *from, uint32_t *to, uint64_t count, uint32_t
     }
 }
 
-uint64_t skeli_sort_unique(uint32_t *tuples, uint64_t count, uint32_t width, uint32_t n, uint32_t *scratch, uint32_t *bucket)
+static inline uint64_t sort_unique(uint32_t *tuples, uint64_t count, uint32_t width, uint32_t n, uint32_t *scratch, uint32_t *bucket)
 {
     if (count == 0) return 0;
     uint32_t *from = tuples, *to = scratch;
@@ -87,4 +87,10 @@ uint64_t skeli_sort_unique(uint32_t *tuples, uint64_t count, uint32_t width, uin
         kept++;
     }
     return kept;
+}
+
+/* Copies and comparisons of a width that is known are single instructions. */
+uint64_t skeli_sort_unique(uint32_t *tuples, uint64_t count, uint32_t width, uint32_t n, uint32_t *scratch, uint32_t *bucket)
+{
+    return width == 2 ? sort_unique(tuples, count, 2, n, scratch, bucket) : width == 3 ? sort_unique(tuples, count, 3, n, scratch, bucket) : sort_unique(tuples, count, width, n, scratch, bucket);
 }

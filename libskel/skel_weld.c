@@ -6,7 +6,7 @@
 
 /* --- greedy grouping ---------------------------------------------------------------------------------------------- */
 
-/* Seeds by cell of a grid as wide as the radius: a hash from cell to a list of seeds. */
+/* Seeds by cell of a grid twice as wide as the radius: a hash from cell to a list of seeds. */
 typedef struct seeds {
     uint64_t *key; /* cell, UINT64_MAX = empty */
     uint32_t *head;
@@ -15,7 +15,7 @@ typedef struct seeds {
     uint64_t mask;
 } seeds;
 
-static uint64_t cell_key(const int64_t c[3]) /* cells fit 21 bits: radius >= 2^-17 units, coordinates in (-1, 1) */
+static uint64_t cell_key(const int64_t c[3]) /* cells fit 21 bits: radius >= 2^-18 units, coordinates in (-1, 1) */
 {
     return (uint64_t)(c[0] + (1 << 20)) | (uint64_t)(c[1] + (1 << 20)) << 21 | (uint64_t)(c[2] + (1 << 20)) << 42;
 }
@@ -29,25 +29,24 @@ static uint64_t cell_slot(const seeds *s, uint64_t key)
     return i;
 }
 
-static uint32_t nearest_seed(const seeds *s, const double *p, const int64_t cell[3], double radius)
+/* What is within the radius lies in the cell or, on each axis, in that of the neighbours to which p is nearer (side, 1 or -1). */
+static uint32_t nearest_seed(const seeds *s, const double *p, const int64_t cell[3], const int64_t side[3], double radius)
 {
     uint32_t best = SVO_NONE;
     double best2 = radius * radius;
-    for (int64_t z = -1; z <= 1; z++)
-        for (int64_t y = -1; y <= 1; y++)
-            for (int64_t x = -1; x <= 1; x++) {
-                int64_t c[3] = {cell[0] + x, cell[1] + y, cell[2] + z};
-                uint64_t slot = cell_slot(s, cell_key(c));
-                if (s->key[slot] == UINT64_MAX) continue;
-                for (uint32_t i = s->head[slot]; i != SVO_NONE; i = s->next[i]) {
-                    const double *q = s->position + 3 * (uint64_t)i;
-                    double dx = q[0] - p[0], dy = q[1] - p[1], dz = q[2] - p[2], d = dx * dx + dy * dy + dz * dz;
-                    if (d < best2 || (d == best2 && i < best && best != SVO_NONE)) {
-                        best2 = d;
-                        best = i;
-                    }
-                }
+    for (int k = 0; k < 8; k++) {
+        const int64_t c[3] = {cell[0] + (k & 1 ? side[0] : 0), cell[1] + (k & 2 ? side[1] : 0), cell[2] + (k & 4 ? side[2] : 0)};
+        const uint64_t slot = cell_slot(s, cell_key(c));
+        if (s->key[slot] == UINT64_MAX) continue;
+        for (uint32_t i = s->head[slot]; i != SVO_NONE; i = s->next[i]) {
+            const double *q = s->position + 3 * (uint64_t)i;
+            double dx = q[0] - p[0], dy = q[1] - p[1], dz = q[2] - p[2], d = dx * dx + dy * dy + dz * dz;
+            if (d < best2 || (d == best2 && i < best && best != SVO_NONE)) {
+                best2 = d;
+                best = i;
             }
+        }
+    }
     return best;
 }
 
@@ -73,8 +72,13 @@ svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t c
         for (uint32_t k = 0; k < count; k++) {
             uint32_t i = order == NULL ? k : order[k];
             const double *p = position + 3 * (uint64_t)i;
-            int64_t cell[3] = {(int64_t)floor(p[0] / radius), (int64_t)floor(p[1] / radius), (int64_t)floor(p[2] / radius)};
-            uint32_t seed = nearest_seed(&s, p, cell, radius);
+            int64_t cell[3], side[3];
+            for (int axis = 0; axis < 3; axis++) {
+                const double at = p[axis] / (2 * radius), low = floor(at);
+                cell[axis] = (int64_t)low;
+                side[axis] = at - low < 0.5 ? -1 : 1;
+            }
+            uint32_t seed = nearest_seed(&s, p, cell, side, radius);
             if (seed == SVO_NONE) {
                 seed = n++;
                 memcpy(s.position + 3 * (uint64_t)seed, p, 3 * sizeof *p);
@@ -169,6 +173,23 @@ static void gather_groups(skeli_state *s, uint32_t groups)
     }
 }
 
+/* n edges from lower to higher vertices, sorted, become those of both directions, sorted: to the lower neighbours of each vertex first. */
+static void both_ways(skeli_state *s, uint64_t n, uint32_t count)
+{
+    uint32_t *at = s->bucket;
+    memcpy(s->scratch, s->edge, 2 * n * sizeof *s->edge);
+    memset(at, 0, ((size_t)count + 1) * sizeof *at);
+    for (uint64_t k = 0; k < 2 * n; k++) at[s->scratch[k] + 1]++;
+    for (uint32_t i = 0; i < count; i++) at[i + 1] += at[i];
+    for (int higher = 0; higher < 2; higher++)
+        for (uint64_t e = 0; e < n; e++) {
+            const uint32_t from = s->scratch[2 * e + (higher ? 0 : 1)], to = s->scratch[2 * e + (higher ? 1 : 0)], k = at[from]++;
+            s->edge[2 * (uint64_t)k] = from;
+            s->edge[2 * (uint64_t)k + 1] = to;
+        }
+    s->edge_count = 2 * n;
+}
+
 void skeli_collapse(skeli_state *s, uint32_t groups)
 {
     gather_groups(s, groups);
@@ -183,12 +204,14 @@ void skeli_collapse(skeli_state *s, uint32_t groups)
     s->triangle_count = (uint32_t)skeli_sort_unique(s->corner, n, 3, groups, s->scratch, s->bucket);
     n = 0;
     for (uint64_t e = 0; e < s->edge_count; e++) {
+        if (s->edge[2 * e] > s->edge[2 * e + 1]) continue; /* of the two directions one will do */
         uint32_t a = s->label[s->edge[2 * e]], b = s->label[s->edge[2 * e + 1]];
         if (a == b) continue;
-        s->edge[2 * n] = a;
-        s->edge[2 * n++ + 1] = b;
+        s->edge[2 * n] = a < b ? a : b;
+        s->edge[2 * n++ + 1] = a < b ? b : a;
     }
-    s->edge_count = skeli_sort_unique(s->edge, n, 2, groups, s->scratch, s->bucket);
+    n = skeli_sort_unique(s->edge, n, 2, groups, s->scratch, s->bucket);
+    both_ways(s, n, groups);
     for (uint32_t i = 0; i < s->original_count; i++) s->live[i] = s->label[s->live[i]];
     s->count = groups;
     for (uint32_t g = 0; g < groups; g++) {

@@ -1,9 +1,11 @@
-// Ball sums through FLANN's KDTreeSingleIndex: the exact index without randomness. Points of one small cell share a search that is wider by their reach; each of them then sums
-// what of its result is in its own ball. So the tree is searched a few times less often than once a point, and what is left is a loop over arrays. FLANN's own lists (12 bytes a
-// neighbour and query, sorted by default) are never made.
+// Ball sums through FLANN's KDTreeSingleIndex: the exact index without randomness. Points of one small cell are a group with one list of what is near it: all that is in the ball of a member, and all that
+// may get there while no point moves farther than half a margin (a neighbour list, Verlet 1967). As long as that holds the lists serve call after call, and the tree is neither built nor searched. The few
+// points that have moved farther are strays: lists pass them by, each group looks at all of them, and each of them searches the tree, which knows where the others were. What is in a ball is always
+// decided by where points are now, so lists, margins and strays change no bit. FLANN's own lists (12 bytes a neighbour and query, sorted by default) are never made.
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include <flann/flann.hpp>
@@ -18,9 +20,20 @@ using distance = flann::L2_Simple<float>;
 using tree = flann::KDTreeSingleIndex<distance>;
 
 constexpr double cell_size = 2.5;       // of the radius
-constexpr uint32_t most_members = 128; // of a group, so that threads have something to share where all points are in one cell
+constexpr uint32_t most_members = 128;  // of a group, so that threads have something to share where all points are in one cell
+constexpr float most_margin = 1.0f;     // of the radius: wider lists cost more than they save
+constexpr float sweeps_ahead = 12;      // that a margin is made for
+constexpr uint32_t gone = UINT32_MAX;
+constexpr float slack = 1.001f;         // on squared distances: FLANN's bounds on whole branches are running sums with rounding errors
 
-// What is found near a group: coordinates as FLANN has them, and weight * (coordinate, 1).
+// Where a point is: as FLANN has it, and weight * (coordinate, 1).
+struct point {
+    float at[3];
+    bool strayed;
+    skel_ball_sum sum;
+};
+
+// What is near a group, where it is now.
 struct candidates {
     std::vector<float> x, y, z;
     std::vector<int64_t> wx, wy, wz, w;
@@ -32,31 +45,36 @@ struct candidates {
         x.resize(more), y.resize(more), z.resize(more);
         wx.resize(more), wy.resize(more), wz.resize(more), w.resize(more);
     }
+    // Those of n points that do not stray, or all of them.
+    void add(const point *from, const uint32_t *index, size_t n, bool strays_too) // room is there
+    {
+        float *const px = x.data(), *const py = y.data(), *const pz = z.data();
+        int64_t *const sx = wx.data(), *const sy = wy.data(), *const sz = wz.data(), *const sw = w.data();
+        size_t to = count;
+        for (size_t k = 0; k < n; k++) {
+            const point &p = from[index[k]];
+            px[to] = p.at[0], py[to] = p.at[1], pz[to] = p.at[2];
+            sx[to] = p.sum.x, sy[to] = p.sum.y, sz[to] = p.sum.z, sw[to] = p.sum.weight;
+            to += strays_too || !p.strayed;
+        }
+        count = to;
+    }
 };
 
-// Collects all points within the squared radius, which is a little wider than needed: FLANN's bounds on whole branches are running sums with rounding errors.
+// Collects the indices of all points within a squared distance.
 class collector final : public flann::ResultSet<float> {
 public:
-    collector(const float *floats, const int32_t *points, const uint32_t *weights, float squared, candidates &to) : floats_(floats), points_(points), weights_(weights), squared_(squared), to_(to) { to_.count = 0; }
+    collector(float squared, std::vector<uint32_t> &to) : squared_(squared), to_(to) {}
     bool full() const override { return true; }
     float worstDist() const override { return squared_; }
     void addPoint(float squared_distance, size_t index) override
     {
-        if (!(squared_distance < squared_)) return;
-        const size_t n = to_.count++;
-        to_.room(n + 1);
-        const int32_t *p = points_ + 3 * index;
-        const int64_t weight = weights_[index];
-        to_.x[n] = floats_[3 * index], to_.y[n] = floats_[3 * index + 1], to_.z[n] = floats_[3 * index + 2];
-        to_.wx[n] = weight * p[0], to_.wy[n] = weight * p[1], to_.wz[n] = weight * p[2], to_.w[n] = weight;
+        if (squared_distance < squared_) to_.push_back(static_cast<uint32_t>(index));
     }
 
 private:
-    const float *floats_;
-    const int32_t *points_;
-    const uint32_t *weights_;
     float squared_;
-    candidates &to_;
+    std::vector<uint32_t> &to_;
 };
 
 // The sum of the candidates in the ball of p, by the rule of skel_radius.h.
@@ -74,6 +92,12 @@ skel_ball_sum sum_of(const candidates &c, const float *p, float squared)
         w += ww[i] & in;
     }
     return {x, y, z, w};
+}
+
+float squared_distance(const float *a, const float *b)
+{
+    const float x = a[0] - b[0], y = a[1] - b[1], z = a[2] - b[2];
+    return x * x + y * y + z * z;
 }
 
 // Points of one cell and one radius: members[start[g]] .. members[start[g + 1] - 1].
@@ -120,62 +144,283 @@ groups group_points(const int32_t *points, const uint8_t *doublings, uint64_t co
     return out;
 }
 
-struct query {
-    const tree *index;
-    const groups *group;
-    const float *floats;
-    const int32_t *points;
-    const uint32_t *weights;
-    const uint8_t *doublings;
-    float squared;
-    skel_ball_sum *out;
+struct list { // of a group
+    uint32_t worker;      // in whose store it is
+    uint64_t begin, count;
+    float middle[3], reach; // of all members when it was made
 };
 
-svo_result search(void *user, uint64_t begin, uint64_t end, uint32_t, svo_error *err)
+struct seen { // by a worker
+    std::vector<uint32_t> strays;
+    uint32_t by_way[256]; // points by the exponent of the square of how far they have come
+};
+
+} // namespace
+
+struct skel_flann {
+    float radius = 0;
+    uint32_t threads = 1;
+    // as of when the lists were made
+    std::vector<float> before, indexed; // of points that are left; of all
+    std::unique_ptr<tree> index;        // of the latter
+    std::vector<uint32_t> left;         // for each of all: which point it is now, or gone
+    groups group;
+    std::vector<list> lists;
+    std::vector<std::vector<uint32_t>> store; // a worker
+    float margin = 0;
+    uint64_t age = 0; // calls since then
+    float speed = INFINITY; // that most points keep below, a call
+    // of the call
+    std::vector<point> now;
+    std::vector<uint32_t> strays; // by x
+    bool listed = false;       // these are the points of the lists
+    std::vector<seen> sight;      // a worker
+    std::vector<candidates> near; // a worker
+    std::vector<std::vector<uint32_t>> found;
+    const int32_t *points = nullptr;
+    const uint32_t *weights = nullptr;
+    const uint8_t *doublings = nullptr;
+    skel_ball_sum *out = nullptr;
+
+    void weld(const uint32_t *label, uint32_t groups);
+    float radius_of(uint32_t i) const { return doublings == nullptr ? radius : radius * static_cast<float>(1u << doublings[i]); } // times a power of two: exact
+    void look(uint64_t begin, uint64_t end, uint32_t worker);
+    bool still_serve();
+    svo_result make_lists(uint64_t count, svo_error *err);
+    void list_group(size_t g, uint32_t worker);
+    void sum_group(size_t g, uint32_t worker);
+    void sum_stray(uint32_t i, uint32_t worker);
+};
+
+namespace {
+
+const flann::SearchParams parameters(flann::FLANN_CHECKS_UNLIMITED, 0.0f, false);
+
+svo_result look(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
     return svo_guard(err, [&] {
-        const query &q = *static_cast<const query *>(user);
-        flann::SearchParams parameters(flann::FLANN_CHECKS_UNLIMITED, 0.0f, false);
-        candidates near;
-        for (uint64_t g = begin; g < end; g++) {
-            const uint32_t *first = q.group->members.data() + q.group->start[g], *last = q.group->members.data() + q.group->start[g + 1];
-            const float wider = q.doublings == nullptr ? 1.0f : static_cast<float>(1u << 2 * q.doublings[*first]); // a power of two: exact
-            const float squared = q.squared * wider;
-            float middle[3], reach2 = 0;
-            for (int k = 0; k < 3; k++) {
-                float low = q.floats[3 * static_cast<size_t>(*first) + static_cast<size_t>(k)], high = low;
-                for (const uint32_t *i = first; i < last; i++) {
-                    const float at = q.floats[3 * static_cast<size_t>(*i) + static_cast<size_t>(k)];
-                    low = std::min(low, at), high = std::max(high, at);
-                }
-                middle[k] = low + (high - low) / 2;
-                const float half = std::max(high - middle[k], middle[k] - low);
-                reach2 += half * half;
-            }
-            const float wide = std::sqrt(squared) + std::sqrt(reach2);
-            collector found(q.floats, q.points, q.weights, wide * wide * 1.001f, near);
-            q.index->findNeighbors(found, middle, parameters);
-            for (const uint32_t *i = first; i < last; i++) q.out[*i] = sum_of(near, q.floats + 3 * static_cast<size_t>(*i), squared);
-        }
+        static_cast<skel_flann *>(user)->look(begin, end, worker);
+        return SVO_OK;
+    });
+}
+
+svo_result list_groups(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    return svo_guard(err, [&] {
+        for (uint64_t g = begin; g < end; g++) static_cast<skel_flann *>(user)->list_group(g, worker);
+        return SVO_OK;
+    });
+}
+
+svo_result sum_groups(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    return svo_guard(err, [&] {
+        for (uint64_t g = begin; g < end; g++) static_cast<skel_flann *>(user)->sum_group(g, worker);
+        return SVO_OK;
+    });
+}
+
+svo_result sum_strays(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
+{
+    return svo_guard(err, [&] {
+        for (uint64_t k = begin; k < end; k++) static_cast<skel_flann *>(user)->sum_stray(static_cast<skel_flann *>(user)->strays[k], worker);
         return SVO_OK;
     });
 }
 
 } // namespace
 
-extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius,
-                                        uint32_t threads, skel_ball_sum *out, svo_error *err)
+// Places and what they weigh; which have strayed, and how far they all are.
+void skel_flann::look(uint64_t begin, uint64_t end, uint32_t worker)
+{
+    const float half = margin / 2 * 0.999f, squared = half * half;
+    seen &to = sight[worker];
+    for (uint64_t i = begin; i < end; i++) {
+        const int32_t *p = points + 3 * i;
+        const int64_t w = weights[i];
+        for (int k = 0; k < 3; k++) now[i].at[k] = static_cast<float>(p[k]) * (1.0f / SKEL_LATTICE);
+        now[i].sum = {w * p[0], w * p[1], w * p[2], w};
+        if (!listed) continue;
+        const float way = squared_distance(now[i].at, before.data() + 3 * i);
+        to.by_way[std::clamp(std::ilogb(way) + 128, 0, 255)]++;
+        now[i].strayed = way >= squared;
+        if (way >= squared) to.strays.push_back(static_cast<uint32_t>(i));
+    }
+}
+
+// Do the lists still serve? Not where too many have strayed.
+bool skel_flann::still_serve()
+{
+    const uint64_t count = now.size(), most = std::min<uint64_t>(32 + count / 32, 2000);
+    uint64_t by_way[256] = {0}, fast = 0;
+    for (const seen &s : sight) {
+        strays.insert(strays.end(), s.strays.begin(), s.strays.end());
+        for (int k = 0; k < 256; k++) by_way[k] += s.by_way[k];
+    }
+    age++;
+    int k = 255;
+    while (k > 0 && fast + by_way[k] <= most / 2) fast += by_way[k--];
+    speed = std::sqrt(std::ldexp(2.0f, k - 128)) / static_cast<float>(age);
+    if (!(margin > 0 && strays.size() <= most)) return false;
+    std::sort(strays.begin(), strays.end(), [&](uint32_t i, uint32_t j) { return now[i].at[0] < now[j].at[0]; });
+    return true;
+}
+
+void skel_flann::list_group(size_t g, uint32_t worker)
+{
+    const uint32_t *first = group.members.data() + group.start[g], *last = group.members.data() + group.start[g + 1];
+    std::vector<uint32_t> &to = store[worker];
+    list &l = lists[g];
+    float reach2 = 0;
+    for (int k = 0; k < 3; k++) {
+        float low = now[*first].at[k], high = low;
+        for (const uint32_t *i = first; i < last; i++) {
+            const float at = now[*i].at[k];
+            low = std::min(low, at), high = std::max(high, at);
+        }
+        l.middle[k] = low + (high - low) / 2;
+        const float half = std::max(high - l.middle[k], l.middle[k] - low);
+        reach2 += half * half;
+    }
+    l.reach = std::sqrt(reach2);
+    l.worker = worker;
+    l.begin = to.size();
+    const float wide = radius_of(*first) + l.reach + margin;
+    collector all(wide * wide * slack, to);
+    index->findNeighbors(all, l.middle, parameters);
+    l.count = to.size() - l.begin;
+}
+
+svo_result skel_flann::make_lists(uint64_t count, svo_error *err)
+{
+    margin = sweeps_ahead * speed * 2;
+    if (margin > most_margin * radius) margin = speed * 4 < most_margin * radius ? most_margin * radius : 0; // too fast for lists to last
+    age = 0;
+    before.resize(3 * count);
+    for (uint64_t i = 0; i < count; i++) std::copy_n(now[i].at, 3, before.begin() + 3 * static_cast<ptrdiff_t>(i));
+    indexed = before;
+    left.resize(count);
+    for (uint64_t i = 0; i < count; i++) left[i] = static_cast<uint32_t>(i);
+    index = std::make_unique<tree>(flann::Matrix<float>(indexed.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
+    index->buildIndex();
+    group = group_points(points, doublings, count, radius);
+    lists.resize(group.start.size() - 1);
+    for (auto &s : store) s.clear();
+    strays.clear();
+    for (point &p : now) p.strayed = false;
+    return svo_parallel_for(count < 1024 ? 1 : threads, lists.size(), 8, list_groups, this, err);
+}
+
+void skel_flann::sum_group(size_t g, uint32_t worker)
+{
+    const list &l = lists[g];
+    if (group.start[g] == group.start[g + 1]) return; // all were welded to members of others
+    const uint32_t *first = group.members.data() + group.start[g], *last = group.members.data() + group.start[g + 1];
+    candidates &c = near[worker];
+    c.count = 0;
+    c.room(l.count + strays.size() + 1);
+    c.add(now.data(), store[l.worker].data() + l.begin, l.count, false);
+    const float r = radius_of(*first), wide = r + l.reach + margin, wide2 = wide * wide * slack;
+    const auto beyond = [&](uint32_t j, float x) { return now[j].at[0] < x; };
+    for (auto j = std::lower_bound(strays.begin(), strays.end(), l.middle[0] - wide * slack, beyond); j != strays.end() && now[*j].at[0] <= l.middle[0] + wide * slack; ++j)
+        if (squared_distance(now[*j].at, l.middle) < wide2) c.add(now.data(), &*j, 1, true);
+    for (const uint32_t *i = first; i < last; i++)
+        if (!now[*i].strayed) out[*i] = sum_of(c, now[*i].at, r * r);
+}
+
+void skel_flann::sum_stray(uint32_t i, uint32_t worker)
+{
+    candidates &c = near[worker];
+    std::vector<uint32_t> &around = found[worker];
+    const float r = radius_of(i), wide = r + margin;
+    around.clear();
+    collector all(wide * wide * slack, around);
+    index->findNeighbors(all, now[i].at, parameters);
+    c.count = 0;
+    c.room(around.size() + strays.size() + 1);
+    for (const uint32_t k : around)
+        if (left[k] != gone) c.add(now.data(), &left[k], 1, false);
+    c.add(now.data(), strays.data(), strays.size(), true);
+    out[i] = sum_of(c, now[i].at, r * r);
+}
+
+// The first of those that are welded stands for all. Who is near it was listed for it, and lists with others of them know it as well: no point has moved farther than half a margin from where it
+// was, strays aside, and the first does not become one by its new place without being seen.
+void skel_flann::weld(const uint32_t *label, uint32_t count)
+{
+    std::vector<uint32_t> first(count, gone);
+    for (uint32_t i = 0; i < before.size() / 3; i++)
+        if (first[label[i]] == gone) first[label[i]] = i;
+    const auto compact = [&](uint32_t *p, size_t n) {
+        size_t to = 0;
+        for (size_t k = 0; k < n; k++)
+            if (first[label[p[k]]] == p[k]) p[to++] = label[p[k]];
+        return to;
+    };
+    for (list &l : lists) l.count = compact(store[l.worker].data() + l.begin, l.count);
+    uint32_t at = 0;
+    for (size_t g = 0; g < lists.size(); g++) {
+        const uint32_t n = static_cast<uint32_t>(compact(group.members.data() + group.start[g], group.start[g + 1] - group.start[g]));
+        std::copy_n(group.members.begin() + group.start[g], n, group.members.begin() + at);
+        group.start[g] = at;
+        at += n;
+    }
+    group.start[lists.size()] = at;
+    for (uint32_t &k : left)
+        if (k != gone) k = first[label[k]] == k ? label[k] : gone;
+    std::vector<float> kept(3 * static_cast<size_t>(count));
+    for (uint32_t g = 0; g < count; g++) std::copy_n(before.begin() + 3 * static_cast<ptrdiff_t>(first[g]), 3, kept.begin() + 3 * static_cast<ptrdiff_t>(g));
+    before = std::move(kept);
+}
+
+extern "C" svo_result skel_flann_weld(skel_flann *f, const uint32_t *label, uint32_t count, svo_error *err)
+{
+    return svo_guard(err, [&] {
+        if (!f->before.empty()) f->weld(label, count);
+        return SVO_OK;
+    });
+}
+
+extern "C" svo_result skel_flann_open(double radius, uint32_t threads, skel_flann **out, svo_error *err)
+{
+    return svo_guard(err, [&] {
+        auto f = std::make_unique<skel_flann>();
+        f->radius = static_cast<float>(radius);
+        f->threads = threads != 0 ? threads : svo_processor_count();
+        f->store.resize(f->threads);
+        f->near.resize(f->threads);
+        f->found.resize(f->threads);
+        f->sight.resize(f->threads);
+        *out = f.release();
+        return SVO_OK;
+    });
+}
+
+extern "C" void skel_flann_close(skel_flann *f) { delete f; }
+
+extern "C" svo_result skel_flann_sums(skel_flann *f, const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, bool moved, skel_ball_sum *out, svo_error *err)
 {
     return svo_guard(err, [&] {
         if (count == 0) return SVO_OK;
         if (count > INT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu points are too many for the radius search", static_cast<unsigned long long>(count));
-        std::vector<float> floats(3 * count);
-        for (uint64_t i = 0; i < 3 * count; i++) floats[i] = static_cast<float>(points[i]) * (1.0f / SKEL_LATTICE);
-        tree index(flann::Matrix<float>(floats.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
-        index.buildIndex();
-        const float r = static_cast<float>(radius);
-        const groups group = group_points(points, doublings, count, radius);
-        query q{&index, &group, floats.data(), points, weights, doublings, r * r, out};
-        return svo_parallel_for(count < 1024 ? 1 : threads, group.start.size() - 1, 8, search, &q, err);
+        f->points = points, f->weights = weights, f->doublings = doublings, f->out = out;
+        f->now.resize(count);
+        f->strays.clear();
+        f->listed = moved && f->before.size() == 3 * count;
+        for (seen &s : f->sight) s.strays.clear(), std::fill_n(s.by_way, 256, 0);
+        SVO_TRY(svo_parallel_for(count < 4096 ? 1 : f->threads, count, 1024, look, f, err));
+        if (!(f->listed && f->still_serve())) SVO_TRY(f->make_lists(count, err));
+        const uint32_t threads = count < 1024 ? 1 : f->threads;
+        SVO_TRY(svo_parallel_for(threads, f->lists.size(), 8, sum_groups, f, err));
+        return svo_parallel_for(threads, f->strays.size(), 4, sum_strays, f, err);
     });
+}
+
+extern "C" svo_result skel_radius_flann(const int32_t *points, const uint32_t *weights, const uint8_t *doublings, uint64_t count, double radius, uint32_t threads, skel_ball_sum *out, svo_error *err)
+{
+    skel_flann *f = nullptr;
+    SVO_TRY(skel_flann_open(radius, threads, &f, err));
+    const svo_result r = skel_flann_sums(f, points, weights, doublings, count, false, out, err);
+    skel_flann_close(f);
+    return r;
 }

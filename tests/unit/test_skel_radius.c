@@ -135,6 +135,70 @@ TEST(clusters_far_apart)
     compare(n, 0.0000001);
 }
 
+/* Merge some near points: labels as welding gives them, the weighted mean as place. Gives the number of groups. */
+static uint64_t weld(uint64_t n, uint64_t *seed, uint32_t *label)
+{
+    static int64_t sum[4 * MAX_POINTS];
+    uint64_t groups = 0;
+    memset(sum, 0, sizeof sum);
+    for (uint64_t i = 0; i < n; i++) {
+        label[i] = i > 0 && test_random(seed) % 8 == 0 ? label[test_random(seed) % 16 == 0 ? test_random(seed) % i : i - 1] : (uint32_t)groups++;
+        int64_t *s = sum + 4 * (uint64_t)label[i];
+        for (uint64_t k = 0; k < 3; k++) s[k] += (int64_t)weight[i] * point[3 * i + k];
+        s[3] += weight[i];
+    }
+    for (uint64_t g = 0; g < groups; g++) {
+        for (uint64_t k = 0; k < 3; k++) point[3 * g + k] = (int32_t)(sum[4 * g + k] / sum[4 * g + 3]);
+        weight[g] = (uint32_t)sum[4 * g + 3];
+    }
+    return groups;
+}
+
+/* Points that creep, jump, and are welded, on one search from the first call to the last: as if each call were alone. `pace` in radii a call. */
+static void moving(double pace, uint64_t jumps, bool welds, bool doubled, uint32_t threads)
+{
+    static uint32_t label[MAX_POINTS];
+    uint64_t seed = 5 + threads + jumps, n = 1100;
+    const double radius = 0.05;
+    const int32_t step = (int32_t)(pace * radius * SKEL_LATTICE) + 1;
+    svo_error err = {0};
+    skel_flann *f;
+    for (uint64_t i = 0; i < n; i++) { /* a sheet that is not quite flat, in the order of its rows */
+        point[3 * i] = (int32_t)(i % 40) * 200000 - 4000000 + coordinate(&seed, 100000);
+        point[3 * i + 1] = (int32_t)(i / 40) * 200000 - 4000000 + coordinate(&seed, 100000);
+        point[3 * i + 2] = coordinate(&seed, 300000);
+        weight[i] = 1 + (uint32_t)(test_random(&seed) % 5);
+        doublings[i] = (uint8_t)(test_random(&seed) % 3);
+    }
+    CHECK_OK(skel_flann_open(radius, threads, &f, &err));
+    for (int call = 0; call < 28 && !test_failed(); call++) {
+        brute(n, radius, doubled);
+        memset(got, 0xff, sizeof got);
+        CHECK_OK(skel_flann_sums(f, point, weight, doubled ? doublings : NULL, n, call > 0, got, &err));
+        CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "call %d of %u threads, pace %g, %llu jumps", call, threads, pace, (unsigned long long)jumps);
+        for (uint64_t i = 0; i < n; i++) /* two crowds that go through each other, none of them straight */
+            for (uint64_t k = 0; k < 3; k++) point[3 * i + k] += coordinate(&seed, step) / 4 + (k > 0 ? 0 : i % 2 == 0 ? step : -step);
+        for (uint64_t j = 0; j < jumps; j++)
+            for (uint64_t k = 0, i = test_random(&seed) % n; k < 3; k++) point[3 * i + k] = coordinate(&seed, 5000000);
+        if (!welds || call % 4 != 3) continue;
+        const uint64_t groups = weld(n, &seed, label);
+        CHECK_OK(skel_flann_weld(f, label, (uint32_t)groups, &err));
+        n = groups;
+    }
+    skel_flann_close(f);
+}
+
+TEST(points_that_move)
+{
+    for (uint32_t threads = 1; threads <= 4; threads += 3)
+        for (uint64_t jumps = 0; jumps < 16 && !test_failed(); jumps = jumps * 8 + 9)
+            for (double pace = 0; pace < 1.5 && !test_failed(); pace = pace * 8 + 0.004) {
+                moving(pace, jumps, false, false, threads);
+                moving(pace, jumps, false, true, threads);
+                moving(pace, jumps, true, false, threads);
+            }
+}
+
 TEST(nothing)
 {
     svo_error err = {0};
