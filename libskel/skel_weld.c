@@ -11,7 +11,8 @@ typedef struct seeds {
     uint64_t *key; /* cell, UINT64_MAX = empty */
     uint32_t *head;
     uint32_t *next;   /* of each seed */
-    double *position; /* of each seed */
+    uint32_t *point;  /* which point each seed is */
+    const double *position;
     uint64_t mask;
 } seeds;
 
@@ -39,7 +40,7 @@ static uint32_t nearest_seed(const seeds *s, const double *p, const int64_t cell
         const uint64_t slot = cell_slot(s, cell_key(c));
         if (s->key[slot] == UINT64_MAX) continue;
         for (uint32_t i = s->head[slot]; i != SVO_NONE; i = s->next[i]) {
-            const double *q = s->position + 3 * (uint64_t)i;
+            const double *q = s->position + 3 * (uint64_t)s->point[i];
             double dx = q[0] - p[0], dy = q[1] - p[1], dz = q[2] - p[2], d = dx * dx + dy * dy + dz * dz;
             if (d < best2 || (d == best2 && i < best && best != SVO_NONE)) {
                 best2 = d;
@@ -58,13 +59,13 @@ svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t c
     if (radius < 128) radius = 128; /* lattice steps; see cell_key */
     uint64_t capacity = 64;
     while (capacity < 2 * (uint64_t)count) capacity *= 2;
-    seeds s = {.mask = capacity - 1};
+    seeds s = {.mask = capacity - 1, .position = position};
     s.key = svo_alloc(a, capacity, sizeof *s.key);
     s.head = svo_alloc(a, capacity, sizeof *s.head);
     s.next = svo_alloc(a, count, sizeof *s.next);
-    s.position = svo_alloc(a, 3 * (uint64_t)count, sizeof *s.position);
+    s.point = svo_alloc(a, count, sizeof *s.point);
     svo_result result = SVO_OK;
-    if (s.key == NULL || s.head == NULL || s.next == NULL || s.position == NULL) {
+    if (s.key == NULL || s.head == NULL || s.next == NULL || s.point == NULL) {
         result = skeli_no_memory(err);
     } else {
         memset(s.key, 0xff, capacity * sizeof *s.key);
@@ -81,7 +82,7 @@ svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t c
             uint32_t seed = nearest_seed(&s, p, cell, side, radius);
             if (seed == SVO_NONE) {
                 seed = n++;
-                memcpy(s.position + 3 * (uint64_t)seed, p, 3 * sizeof *p);
+                s.point[seed] = i;
                 uint64_t slot = cell_slot(&s, cell_key(cell));
                 s.next[seed] = s.key[slot] == UINT64_MAX ? SVO_NONE : s.head[slot];
                 s.key[slot] = cell_key(cell);
@@ -94,7 +95,7 @@ svo_result skeli_weld(const svo_allocator *a, const double *position, uint32_t c
     svo_free(a, s.key, capacity, sizeof *s.key);
     svo_free(a, s.head, capacity, sizeof *s.head);
     svo_free(a, s.next, count, sizeof *s.next);
-    svo_free(a, s.position, 3 * (uint64_t)count, sizeof *s.position);
+    svo_free(a, s.point, count, sizeof *s.point);
     return result;
 }
 

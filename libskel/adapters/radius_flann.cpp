@@ -24,13 +24,15 @@ constexpr uint32_t most_members = 128;  // of a group, so that threads have some
 constexpr float most_margin = 1.0f;     // of the radius: wider lists cost more than they save
 constexpr float sweeps_ahead = 12;      // that a margin is made for
 constexpr uint32_t gone = UINT32_MAX;
+constexpr uint64_t large = 131072;      // points from which on lists are kept only when half of them are left: they and the tree take up to 80 bytes a point
 constexpr float slack = 1.001f;         // on squared distances: FLANN's bounds on whole branches are running sums with rounding errors
 
-// Where a point is: as FLANN has it, and weight * (coordinate, 1).
-struct point {
-    float at[3];
-    bool strayed;
-    skel_ball_sum sum;
+// Points of a call. There may be millions at first, so what can be had from these is not kept.
+struct points_of_call {
+    const int32_t *place;
+    const uint32_t *weight;
+    std::vector<uint8_t> strayed;
+    float at(uint64_t i, int k) const { return static_cast<float>(place[3 * i + static_cast<uint64_t>(k)]) * (1.0f / SKEL_LATTICE); } // as FLANN has it
 };
 
 // What is near a group, where it is now.
@@ -46,16 +48,18 @@ struct candidates {
         wx.resize(more), wy.resize(more), wz.resize(more), w.resize(more);
     }
     // Those of n points that do not stray, or all of them.
-    void add(const point *from, const uint32_t *index, size_t n, bool strays_too) // room is there
+    void add(const points_of_call &from, const uint32_t *index, size_t n, bool strays_too) // room is there
     {
         float *const px = x.data(), *const py = y.data(), *const pz = z.data();
         int64_t *const sx = wx.data(), *const sy = wy.data(), *const sz = wz.data(), *const sw = w.data();
         size_t to = count;
         for (size_t k = 0; k < n; k++) {
-            const point &p = from[index[k]];
-            px[to] = p.at[0], py[to] = p.at[1], pz[to] = p.at[2];
-            sx[to] = p.sum.x, sy[to] = p.sum.y, sz[to] = p.sum.z, sw[to] = p.sum.weight;
-            to += strays_too || !p.strayed;
+            const size_t j = index[k];
+            const int32_t *p = from.place + 3 * j;
+            const int64_t weight = from.weight[j];
+            px[to] = from.at(j, 0), py[to] = from.at(j, 1), pz[to] = from.at(j, 2);
+            sx[to] = weight * p[0], sy[to] = weight * p[1], sz[to] = weight * p[2], sw[to] = weight;
+            to += strays_too || from.strayed[j] == 0;
         }
         count = to;
     }
@@ -144,9 +148,11 @@ groups group_points(const int32_t *points, const uint8_t *doublings, uint64_t co
     return out;
 }
 
+constexpr size_t block = 65536;         // of a worker's store; blocks stay where they are, and growing does not copy them
+
 struct list { // of a group
-    uint32_t worker;      // in whose store it is
-    uint64_t begin, count;
+    uint32_t *at;           // in a block
+    uint64_t count;
     float middle[3], reach; // of all members when it was made
 };
 
@@ -161,32 +167,32 @@ struct skel_flann {
     float radius = 0;
     uint32_t threads = 1;
     // as of when the lists were made
-    std::vector<float> before, indexed; // of points that are left; of all
-    std::unique_ptr<tree> index;        // of the latter
-    std::vector<uint32_t> left;         // for each of all: which point it is now, or gone
+    std::vector<float> before;   // of points that are left
+    std::unique_ptr<tree> index; // of all; it has them in its own order, and is built from `before` as it was then, which it does not read any more
+    std::vector<uint32_t> left;  // for each of all: which point it is now, or gone
     groups group;
     std::vector<list> lists;
-    std::vector<std::vector<uint32_t>> store; // a worker
+    std::vector<std::vector<std::vector<uint32_t>>> store; // blocks a worker
     float margin = 0;
     uint64_t age = 0; // calls since then
     float speed = INFINITY; // that most points keep below, a call
     // of the call
-    std::vector<point> now;
+    points_of_call now{};
+    uint64_t count = 0, begun = 0; // points; at first
     std::vector<uint32_t> strays; // by x
-    bool listed = false;       // these are the points of the lists
+    bool listed = false;          // these are the points of the lists
     std::vector<seen> sight;      // a worker
     std::vector<candidates> near; // a worker
     std::vector<std::vector<uint32_t>> found;
-    const int32_t *points = nullptr;
-    const uint32_t *weights = nullptr;
     const uint8_t *doublings = nullptr;
     skel_ball_sum *out = nullptr;
 
-    void weld(const uint32_t *label, uint32_t groups);
+    void weld(const uint32_t *label, uint32_t welded);
     float radius_of(uint32_t i) const { return doublings == nullptr ? radius : radius * static_cast<float>(1u << doublings[i]); } // times a power of two: exact
     void look(uint64_t begin, uint64_t end, uint32_t worker);
     bool still_serve();
-    svo_result make_lists(uint64_t count, svo_error *err);
+    svo_result make_lists(svo_error *err);
+    void drop_lists();
     void list_group(size_t g, uint32_t worker);
     void sum_group(size_t g, uint32_t worker);
     void sum_stray(uint32_t i, uint32_t worker);
@@ -230,20 +236,15 @@ svo_result sum_strays(void *user, uint64_t begin, uint64_t end, uint32_t worker,
 
 } // namespace
 
-// Places and what they weigh; which have strayed, and how far they all are.
+// Which points have strayed, and how far they all are.
 void skel_flann::look(uint64_t begin, uint64_t end, uint32_t worker)
 {
     const float half = margin / 2 * 0.999f, squared = half * half;
     seen &to = sight[worker];
     for (uint64_t i = begin; i < end; i++) {
-        const int32_t *p = points + 3 * i;
-        const int64_t w = weights[i];
-        for (int k = 0; k < 3; k++) now[i].at[k] = static_cast<float>(p[k]) * (1.0f / SKEL_LATTICE);
-        now[i].sum = {w * p[0], w * p[1], w * p[2], w};
-        if (!listed) continue;
-        const float way = squared_distance(now[i].at, before.data() + 3 * i);
+        const float p[3] = {now.at(i, 0), now.at(i, 1), now.at(i, 2)}, way = squared_distance(p, before.data() + 3 * i);
         to.by_way[std::clamp(std::ilogb(way) + 128, 0, 255)]++;
-        now[i].strayed = way >= squared;
+        now.strayed[i] = way >= squared;
         if (way >= squared) to.strays.push_back(static_cast<uint32_t>(i));
     }
 }
@@ -251,7 +252,7 @@ void skel_flann::look(uint64_t begin, uint64_t end, uint32_t worker)
 // Do the lists still serve? Not where too many have strayed.
 bool skel_flann::still_serve()
 {
-    const uint64_t count = now.size(), most = std::min<uint64_t>(32 + count / 32, 2000);
+    const uint64_t most = std::min<uint64_t>(32 + count / 32, 2000);
     uint64_t by_way[256] = {0}, fast = 0;
     for (const seen &s : sight) {
         strays.insert(strays.end(), s.strays.begin(), s.strays.end());
@@ -262,20 +263,20 @@ bool skel_flann::still_serve()
     while (k > 0 && fast + by_way[k] <= most / 2) fast += by_way[k--];
     speed = std::sqrt(std::ldexp(2.0f, k - 128)) / static_cast<float>(age);
     if (!(margin > 0 && strays.size() <= most)) return false;
-    std::sort(strays.begin(), strays.end(), [&](uint32_t i, uint32_t j) { return now[i].at[0] < now[j].at[0]; });
+    std::sort(strays.begin(), strays.end(), [&](uint32_t i, uint32_t j) { return now.place[3 * static_cast<size_t>(i)] < now.place[3 * static_cast<size_t>(j)]; });
     return true;
 }
 
 void skel_flann::list_group(size_t g, uint32_t worker)
 {
     const uint32_t *first = group.members.data() + group.start[g], *last = group.members.data() + group.start[g + 1];
-    std::vector<uint32_t> &to = store[worker];
+    std::vector<uint32_t> &near_it = found[worker];
     list &l = lists[g];
     float reach2 = 0;
     for (int k = 0; k < 3; k++) {
-        float low = now[*first].at[k], high = low;
+        float low = now.at(*first, k), high = low;
         for (const uint32_t *i = first; i < last; i++) {
-            const float at = now[*i].at[k];
+            const float at = now.at(*i, k);
             low = std::min(low, at), high = std::max(high, at);
         }
         l.middle[k] = low + (high - low) / 2;
@@ -283,31 +284,47 @@ void skel_flann::list_group(size_t g, uint32_t worker)
         reach2 += half * half;
     }
     l.reach = std::sqrt(reach2);
-    l.worker = worker;
-    l.begin = to.size();
     const float wide = radius_of(*first) + l.reach + margin;
-    collector all(wide * wide * slack, to);
+    near_it.clear();
+    collector all(wide * wide * slack, near_it);
     index->findNeighbors(all, l.middle, parameters);
-    l.count = to.size() - l.begin;
+    l.count = near_it.size();
+    auto &blocks = store[worker];
+    if (blocks.empty() || blocks.back().capacity() - blocks.back().size() < l.count) {
+        blocks.emplace_back();
+        blocks.back().reserve(std::max<size_t>(l.count, block));
+    }
+    l.at = blocks.back().data() + blocks.back().size();
+    blocks.back().insert(blocks.back().end(), near_it.begin(), near_it.end());
 }
 
-svo_result skel_flann::make_lists(uint64_t count, svo_error *err)
+void skel_flann::drop_lists()
+{
+    index.reset();
+    group = {};
+    lists = {};
+    for (auto &s : store) s = {};
+    left = {};
+    before = {};
+    age = 0;
+}
+
+svo_result skel_flann::make_lists(svo_error *err)
 {
     margin = sweeps_ahead * speed * 2;
     if (margin > most_margin * radius) margin = speed * 4 < most_margin * radius ? most_margin * radius : 0; // too fast for lists to last
-    age = 0;
+    drop_lists(); // before there are others
     before.resize(3 * count);
-    for (uint64_t i = 0; i < count; i++) std::copy_n(now[i].at, 3, before.begin() + 3 * static_cast<ptrdiff_t>(i));
-    indexed = before;
+    for (uint64_t i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) before[3 * i + static_cast<uint64_t>(k)] = now.at(i, k);
     left.resize(count);
     for (uint64_t i = 0; i < count; i++) left[i] = static_cast<uint32_t>(i);
-    index = std::make_unique<tree>(flann::Matrix<float>(indexed.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
+    index = std::make_unique<tree>(flann::Matrix<float>(before.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
     index->buildIndex();
-    group = group_points(points, doublings, count, radius);
+    group = group_points(now.place, doublings, count, radius);
     lists.resize(group.start.size() - 1);
-    for (auto &s : store) s.clear();
     strays.clear();
-    for (point &p : now) p.strayed = false;
+    now.strayed.assign(count, 0);
     return svo_parallel_for(count < 1024 ? 1 : threads, lists.size(), 8, list_groups, this, err);
 }
 
@@ -319,13 +336,17 @@ void skel_flann::sum_group(size_t g, uint32_t worker)
     candidates &c = near[worker];
     c.count = 0;
     c.room(l.count + strays.size() + 1);
-    c.add(now.data(), store[l.worker].data() + l.begin, l.count, false);
+    c.add(now, l.at, l.count, false);
     const float r = radius_of(*first), wide = r + l.reach + margin, wide2 = wide * wide * slack;
-    const auto beyond = [&](uint32_t j, float x) { return now[j].at[0] < x; };
-    for (auto j = std::lower_bound(strays.begin(), strays.end(), l.middle[0] - wide * slack, beyond); j != strays.end() && now[*j].at[0] <= l.middle[0] + wide * slack; ++j)
-        if (squared_distance(now[*j].at, l.middle) < wide2) c.add(now.data(), &*j, 1, true);
-    for (const uint32_t *i = first; i < last; i++)
-        if (!now[*i].strayed) out[*i] = sum_of(c, now[*i].at, r * r);
+    const auto beyond = [&](uint32_t j, float x) { return now.at(j, 0) < x; };
+    for (auto j = std::lower_bound(strays.begin(), strays.end(), l.middle[0] - wide * slack, beyond); j != strays.end() && now.at(*j, 0) <= l.middle[0] + wide * slack; ++j) {
+        const float p[3] = {now.at(*j, 0), now.at(*j, 1), now.at(*j, 2)};
+        if (squared_distance(p, l.middle) < wide2) c.add(now, &*j, 1, true);
+    }
+    for (const uint32_t *i = first; i < last; i++) {
+        const float p[3] = {now.at(*i, 0), now.at(*i, 1), now.at(*i, 2)};
+        if (now.strayed[*i] == 0) out[*i] = sum_of(c, p, r * r);
+    }
 }
 
 void skel_flann::sum_stray(uint32_t i, uint32_t worker)
@@ -335,20 +356,21 @@ void skel_flann::sum_stray(uint32_t i, uint32_t worker)
     const float r = radius_of(i), wide = r + margin;
     around.clear();
     collector all(wide * wide * slack, around);
-    index->findNeighbors(all, now[i].at, parameters);
+    float p[3] = {now.at(i, 0), now.at(i, 1), now.at(i, 2)};
+    index->findNeighbors(all, p, parameters);
     c.count = 0;
     c.room(around.size() + strays.size() + 1);
     for (const uint32_t k : around)
-        if (left[k] != gone) c.add(now.data(), &left[k], 1, false);
-    c.add(now.data(), strays.data(), strays.size(), true);
-    out[i] = sum_of(c, now[i].at, r * r);
+        if (left[k] != gone) c.add(now, &left[k], 1, false);
+    c.add(now, strays.data(), strays.size(), true);
+    out[i] = sum_of(c, p, r * r);
 }
 
 // The first of those that are welded stands for all. Who is near it was listed for it, and lists with others of them know it as well: no point has moved farther than half a margin from where it
 // was, strays aside, and the first does not become one by its new place without being seen.
-void skel_flann::weld(const uint32_t *label, uint32_t count)
+void skel_flann::weld(const uint32_t *label, uint32_t welded)
 {
-    std::vector<uint32_t> first(count, gone);
+    std::vector<uint32_t> first(welded, gone);
     for (uint32_t i = 0; i < before.size() / 3; i++)
         if (first[label[i]] == gone) first[label[i]] = i;
     const auto compact = [&](uint32_t *p, size_t n) {
@@ -357,7 +379,7 @@ void skel_flann::weld(const uint32_t *label, uint32_t count)
             if (first[label[p[k]]] == p[k]) p[to++] = label[p[k]];
         return to;
     };
-    for (list &l : lists) l.count = compact(store[l.worker].data() + l.begin, l.count);
+    for (list &l : lists) l.count = compact(l.at, l.count);
     uint32_t at = 0;
     for (size_t g = 0; g < lists.size(); g++) {
         const uint32_t n = static_cast<uint32_t>(compact(group.members.data() + group.start[g], group.start[g + 1] - group.start[g]));
@@ -368,8 +390,8 @@ void skel_flann::weld(const uint32_t *label, uint32_t count)
     group.start[lists.size()] = at;
     for (uint32_t &k : left)
         if (k != gone) k = first[label[k]] == k ? label[k] : gone;
-    std::vector<float> kept(3 * static_cast<size_t>(count));
-    for (uint32_t g = 0; g < count; g++) std::copy_n(before.begin() + 3 * static_cast<ptrdiff_t>(first[g]), 3, kept.begin() + 3 * static_cast<ptrdiff_t>(g));
+    std::vector<float> kept(3 * static_cast<size_t>(welded));
+    for (uint32_t g = 0; g < welded; g++) std::copy_n(before.begin() + 3 * static_cast<ptrdiff_t>(first[g]), 3, kept.begin() + 3 * static_cast<ptrdiff_t>(g));
     before = std::move(kept);
 }
 
@@ -403,16 +425,20 @@ extern "C" svo_result skel_flann_sums(skel_flann *f, const int32_t *points, cons
     return svo_guard(err, [&] {
         if (count == 0) return SVO_OK;
         if (count > INT32_MAX) return svo_fail(err, SVO_LIMIT, "%llu points are too many for the radius search", static_cast<unsigned long long>(count));
-        f->points = points, f->weights = weights, f->doublings = doublings, f->out = out;
-        f->now.resize(count);
+        f->now.place = points, f->now.weight = weights, f->doublings = doublings, f->out = out;
+        f->now.strayed.resize(count);
+        f->count = count;
+        if (f->begun == 0) f->begun = count;
         f->strays.clear();
         f->listed = moved && f->before.size() == 3 * count;
         for (seen &s : f->sight) s.strays.clear(), std::fill_n(s.by_way, 256, 0);
-        SVO_TRY(svo_parallel_for(count < 4096 ? 1 : f->threads, count, 1024, look, f, err));
-        if (!(f->listed && f->still_serve())) SVO_TRY(f->make_lists(count, err));
+        if (f->listed) SVO_TRY(svo_parallel_for(count < 4096 ? 1 : f->threads, count, 1024, look, f, err));
+        if (!(f->listed && f->still_serve())) SVO_TRY(f->make_lists(err));
         const uint32_t threads = count < 1024 ? 1 : f->threads;
         SVO_TRY(svo_parallel_for(threads, f->lists.size(), 8, sum_groups, f, err));
-        return svo_parallel_for(threads, f->strays.size(), 4, sum_strays, f, err);
+        SVO_TRY(svo_parallel_for(threads, f->strays.size(), 4, sum_strays, f, err));
+        if (count > large && count > f->begun / 2) f->drop_lists();
+        return SVO_OK;
     });
 }
 

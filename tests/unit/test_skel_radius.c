@@ -6,7 +6,7 @@
 
 #include "test.h"
 
-enum { MAX_POINTS = 20000 };
+enum { MAX_POINTS = 150000 };
 static int32_t point[3 * MAX_POINTS];
 static uint32_t weight[MAX_POINTS];
 static uint8_t doublings[MAX_POINTS];
@@ -197,6 +197,34 @@ TEST(points_that_move)
                 moving(pace, jumps, false, true, threads);
                 moving(pace, jumps, true, false, threads);
             }
+}
+
+/* So many that lists are not kept before half of them are gone. Against the grid, which the other tests hold against brute force. */
+TEST(many_points_that_move)
+{
+    static uint32_t label[MAX_POINTS];
+    uint64_t seed = 8, n = MAX_POINTS;
+    const double radius = 0.01;
+    svo_error err = {0};
+    skel_flann *f;
+    for (uint64_t i = 0; i < n; i++) {
+        for (uint64_t k = 0; k < 3; k++) point[3 * i + k] = coordinate(&seed, 4000000);
+        weight[i] = 1 + (uint32_t)(test_random(&seed) % 5);
+    }
+    CHECK_OK(skel_flann_open(radius, 2, &f, &err));
+    for (int call = 0; call < 8 && !test_failed(); call++) {
+        CHECK_OK(skel_flann_sums(f, point, weight, NULL, n, call > 0, got, &err));
+        CHECK_OK(skel_radius_grid(NULL, point, weight, NULL, n, radius, 2, slow, &err));
+        CHECK_MSG(memcmp(got, slow, n * sizeof *got) == 0, "call %d", call);
+        for (uint64_t i = 0; i < 3 * n; i++) point[i] += coordinate(&seed, 3000);
+        if (call != 1 && call != 3 && call != 5) continue;
+        const uint64_t groups = call == 3 ? n / 3 : weld(n, &seed, label);
+        if (call == 3) /* most of them at once; where to does not matter */
+            for (uint64_t i = 0; i < n; i++) label[i] = (uint32_t)(i % groups);
+        CHECK_OK(skel_flann_weld(f, label, (uint32_t)groups, &err));
+        n = groups;
+    }
+    skel_flann_close(f);
 }
 
 TEST(nothing)
