@@ -31,6 +31,7 @@ import traceback
 import zlib
 
 tools = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "build/tools").resolve()
+SANITIZED = "asan" in str(tools) or "tsan" in str(tools)  # memory is then a multiple of what the tool takes
 source = pathlib.Path(sys.argv[2] if len(sys.argv) > 2 else ".").resolve()
 
 

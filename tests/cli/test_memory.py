@@ -18,7 +18,6 @@ from support import check, skip, tool
 
 BENCH = support.tools.parent / "tests" / "bench_mesh"
 CONSTANT = 16 << 20  # program, libraries, stacks, buffers of files: what --memory does not count
-SANITIZED = "asan" in str(support.tools) or "tsan" in str(support.tools)
 
 
 def sheet(folder, kind, triangles, shuffled=False, shape=None):
@@ -44,7 +43,7 @@ def compare(folder, mesh, memory, bytes_allowed, *more):
     check(r.code == 0, r)
     report = limited(folder, mesh, memory, *more)
     check((folder / "a.svo").read_bytes() == (folder / "b.svo").read_bytes(), "%s with %s: other bytes" % (mesh, memory))
-    if not SANITIZED:
+    if not support.SANITIZED:
         check(report["peak_rss_bytes"] <= bytes_allowed + CONSTANT, "%s: %d bytes resident" % (mesh, report["peak_rss_bytes"]))
     return report
 

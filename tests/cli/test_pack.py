@@ -225,7 +225,7 @@ def test_a_million_instances(folder):
         check(r.code == 0 and report["output"]["instances"] == count, r)
         peak[count], size[count] = report["peak_rss_bytes"], report["output"]["bytes"]
     # 57 bytes of description (mapped), 112 of it as read, 48 to 60 in the file, and what is sorted
-    check((peak[1000000] - peak[100000]) / 900000 < 500, peak)
+    check(support.SANITIZED or (peak[1000000] - peak[100000]) / 900000 < 500, peak)
     check((size[1000000] - size[100000]) / 900000 < 62, size)
 
 
