@@ -24,7 +24,7 @@ constexpr uint32_t most_members = 128;  // of a group, so that threads have some
 constexpr float most_margin = 1.0f;     // of the radius: wider lists cost more than they save
 constexpr float sweeps_ahead = 12;      // that a margin is made for
 constexpr uint32_t gone = UINT32_MAX;
-constexpr uint64_t large = 131072;      // points from which on lists are kept only when half of them are left: they and the tree take up to 80 bytes a point
+constexpr uint64_t large = 131072;      // points from which on lists are kept only when a third of them is left: they and the tree take up to 80 bytes a point
 constexpr float slack = 1.001f;         // on squared distances: FLANN's bounds on whole branches are running sums with rounding errors
 
 // Points of a call. There may be millions at first, so what can be had from these is not kept.
@@ -117,7 +117,7 @@ groups group_points(const int32_t *points, const uint8_t *doublings, uint64_t co
     const double wide = std::fmax(radius * cell_size * SKEL_LATTICE, 64.0); // at most 2^19 cells a side
     const double inverse = 1 / std::fmin(wide, 1e9);
     uint64_t capacity = 64;
-    while (capacity < 2 * count) capacity *= 2;
+    while (capacity < count + count / 2) capacity *= 2;
     std::vector<uint64_t> key(capacity, UINT64_MAX);
     std::vector<uint32_t> last(capacity), group_of(count), size;
     groups out;
@@ -193,6 +193,7 @@ struct skel_flann {
     bool still_serve();
     svo_result make_lists(svo_error *err);
     void drop_lists();
+    bool keep() const { return count <= large || count <= begun / 3; }
     void list_group(size_t g, uint32_t worker);
     void sum_group(size_t g, uint32_t worker);
     void sum_stray(uint32_t i, uint32_t worker);
@@ -289,6 +290,11 @@ void skel_flann::list_group(size_t g, uint32_t worker)
     collector all(wide * wide * slack, near_it);
     index->findNeighbors(all, l.middle, parameters);
     l.count = near_it.size();
+    if (!keep()) {
+        l.at = near_it.data();
+        sum_group(g, worker);
+        return;
+    }
     auto &blocks = store[worker];
     if (blocks.empty() || blocks.back().capacity() - blocks.back().size() < l.count) {
         blocks.emplace_back();
@@ -317,8 +323,8 @@ svo_result skel_flann::make_lists(svo_error *err)
     before.resize(3 * count);
     for (uint64_t i = 0; i < count; i++)
         for (int k = 0; k < 3; k++) before[3 * i + static_cast<uint64_t>(k)] = now.at(i, k);
-    left.resize(count);
-    for (uint64_t i = 0; i < count; i++) left[i] = static_cast<uint32_t>(i);
+    left.resize(keep() ? count : 0);
+    for (uint64_t i = 0; i < left.size(); i++) left[i] = static_cast<uint32_t>(i);
     index = std::make_unique<tree>(flann::Matrix<float>(before.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
     index->buildIndex();
     group = group_points(now.place, doublings, count, radius);
@@ -435,10 +441,12 @@ extern "C" svo_result skel_flann_sums(skel_flann *f, const int32_t *points, cons
         if (f->listed) SVO_TRY(svo_parallel_for(count < 4096 ? 1 : f->threads, count, 1024, look, f, err));
         if (!(f->listed && f->still_serve())) SVO_TRY(f->make_lists(err));
         const uint32_t threads = count < 1024 ? 1 : f->threads;
+        if (!f->keep()) { // the sums are there already
+            f->drop_lists();
+            return SVO_OK;
+        }
         SVO_TRY(svo_parallel_for(threads, f->lists.size(), 8, sum_groups, f, err));
-        SVO_TRY(svo_parallel_for(threads, f->strays.size(), 4, sum_strays, f, err));
-        if (count > large && count > f->begun / 2) f->drop_lists();
-        return SVO_OK;
+        return svo_parallel_for(threads, f->strays.size(), 4, sum_strays, f, err);
     });
 }
 
