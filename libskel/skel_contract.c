@@ -111,7 +111,7 @@ static svo_result ball_sums(contraction *c, svo_error *err)
 typedef struct movement { double sum, max; } movement; /* lattice steps; sum over original vertices */
 
 /* Four numbers a vertex, of which three are used: vectors of four are added in one step. They lie as doubles do. */
-typedef double four __attribute__((vector_size(32), aligned(8)));
+typedef double four __attribute__((vector_size(32), aligned(8), may_alias));
 
 /* A smoothing step. The first learns the thickness of each vertex before it, the last moves it after it: both concern the vertex alone, and threads meet once less for each. */
 typedef struct smoothing {

@@ -1,8 +1,9 @@
 // Ball sums through FLANN's KDTreeSingleIndex: the exact index without randomness. Points of one small cell are a group with one list of what is near it: all that is in the ball of a member, and all that
-// may get there while no point moves farther than half a margin (a neighbour list, Verlet 1967). As long as that holds the lists serve call after call, and the tree is neither built nor searched. The few
+// may get there while no point moves farther than half the skin (neighbour lists, Verlet 1967; the skin is how much wider they are). As long as that holds the lists serve call after call, and the tree is neither built nor searched. The few
 // points that have moved farther are strays: lists pass them by, each group looks at all of them, and each of them searches the tree, which knows where the others were. What is in a ball is always
-// decided by where points are now, so lists, margins and strays change no bit. FLANN's own lists (12 bytes a neighbour and query, sorted by default) are never made.
+// decided by where points are now, so lists, skins and strays change no bit. FLANN's own lists (12 bytes a neighbour and query, sorted by default) are never made.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <memory>
@@ -21,8 +22,9 @@ using tree = flann::KDTreeSingleIndex<distance>;
 
 constexpr double cell_size = 2.5;       // of the radius
 constexpr uint32_t most_members = 128;  // of a group, so that threads have something to share where all points are in one cell
-constexpr float most_margin = 1.0f;     // of the radius: wider lists cost more than they save
-constexpr float sweeps_ahead = 12;      // that a margin is made for
+constexpr float most_skin = 1.0f;     // of the radius: wider lists cost more than they save
+constexpr float sweeps_ahead = 12;      // that a skin is made for
+constexpr uint64_t few = 1024;          // points that are not worth a thread
 constexpr uint32_t gone = UINT32_MAX;
 constexpr uint64_t large = 131072;      // points from which on lists are kept only when a third of them is left: they and the tree take up to 80 bytes a point
 constexpr float slack = 1.001f;         // on squared distances: FLANN's bounds on whole branches are running sums with rounding errors
@@ -33,6 +35,7 @@ struct points_of_call {
     const uint32_t *weight;
     std::vector<uint8_t> strayed;
     float at(uint64_t i, int k) const { return static_cast<float>(place[3 * i + static_cast<uint64_t>(k)]) * (1.0f / SKEL_LATTICE); } // as FLANN has it
+    std::array<float, 3> at(uint64_t i) const { return {at(i, 0), at(i, 1), at(i, 2)}; }
 };
 
 // What is near a group, where it is now.
@@ -173,7 +176,7 @@ struct skel_flann {
     groups group;
     std::vector<list> lists;
     std::vector<std::vector<std::vector<uint32_t>>> store; // blocks a worker
-    float margin = 0;
+    float skin = 0;
     uint64_t age = 0; // calls since then
     float speed = INFINITY; // that most points keep below, a call
     // of the call
@@ -193,7 +196,7 @@ struct skel_flann {
     bool still_serve();
     svo_result make_lists(svo_error *err);
     void drop_lists();
-    bool keep() const { return count <= large || count <= begun / 3; }
+    bool keeps_lists() const { return count <= large || count <= begun / 3; }
     void list_group(size_t g, uint32_t worker);
     void sum_group(size_t g, uint32_t worker);
     void sum_stray(uint32_t i, uint32_t worker);
@@ -240,10 +243,10 @@ svo_result sum_strays(void *user, uint64_t begin, uint64_t end, uint32_t worker,
 // Which points have strayed, and how far they all are.
 void skel_flann::look(uint64_t begin, uint64_t end, uint32_t worker)
 {
-    const float half = margin / 2 * 0.999f, squared = half * half;
+    const float half = skin / 2 * 0.999f, squared = half * half;
     seen &to = sight[worker];
     for (uint64_t i = begin; i < end; i++) {
-        const float p[3] = {now.at(i, 0), now.at(i, 1), now.at(i, 2)}, way = squared_distance(p, before.data() + 3 * i);
+        const float way = squared_distance(now.at(i).data(), before.data() + 3 * i);
         to.by_way[std::clamp(std::ilogb(way) + 128, 0, 255)]++;
         now.strayed[i] = way >= squared;
         if (way >= squared) to.strays.push_back(static_cast<uint32_t>(i));
@@ -263,7 +266,7 @@ bool skel_flann::still_serve()
     int k = 255;
     while (k > 0 && fast + by_way[k] <= most / 2) fast += by_way[k--];
     speed = std::sqrt(std::ldexp(2.0f, k - 128)) / static_cast<float>(age);
-    if (!(margin > 0 && strays.size() <= most)) return false;
+    if (!(skin > 0 && strays.size() <= most)) return false;
     std::sort(strays.begin(), strays.end(), [&](uint32_t i, uint32_t j) { return now.place[3 * static_cast<size_t>(i)] < now.place[3 * static_cast<size_t>(j)]; });
     return true;
 }
@@ -285,12 +288,12 @@ void skel_flann::list_group(size_t g, uint32_t worker)
         reach2 += half * half;
     }
     l.reach = std::sqrt(reach2);
-    const float wide = radius_of(*first) + l.reach + margin;
+    const float wide = radius_of(*first) + l.reach + skin;
     near_it.clear();
     collector all(wide * wide * slack, near_it);
     index->findNeighbors(all, l.middle, parameters);
     l.count = near_it.size();
-    if (!keep()) {
+    if (!keeps_lists()) {
         l.at = near_it.data();
         sum_group(g, worker);
         return;
@@ -317,13 +320,13 @@ void skel_flann::drop_lists()
 
 svo_result skel_flann::make_lists(svo_error *err)
 {
-    margin = sweeps_ahead * speed * 2;
-    if (margin > most_margin * radius) margin = speed * 4 < most_margin * radius ? most_margin * radius : 0; // too fast for lists to last
+    skin = sweeps_ahead * speed * 2;
+    if (skin > most_skin * radius) skin = speed * 4 < most_skin * radius ? most_skin * radius : 0; // too fast for lists to last
     drop_lists(); // before there are others
     before.resize(3 * count);
     for (uint64_t i = 0; i < count; i++)
         for (int k = 0; k < 3; k++) before[3 * i + static_cast<uint64_t>(k)] = now.at(i, k);
-    left.resize(keep() ? count : 0);
+    left.resize(keeps_lists() ? count : 0);
     for (uint64_t i = 0; i < left.size(); i++) left[i] = static_cast<uint32_t>(i);
     index = std::make_unique<tree>(flann::Matrix<float>(before.data(), count, 3), flann::KDTreeSingleIndexParams(60, true));
     index->buildIndex();
@@ -331,7 +334,7 @@ svo_result skel_flann::make_lists(svo_error *err)
     lists.resize(group.start.size() - 1);
     strays.clear();
     now.strayed.assign(count, 0);
-    return svo_parallel_for(count < 1024 ? 1 : threads, lists.size(), 8, list_groups, this, err);
+    return svo_parallel_for(count < few ? 1 : threads, lists.size(), 8, list_groups, this, err);
 }
 
 void skel_flann::sum_group(size_t g, uint32_t worker)
@@ -343,36 +346,32 @@ void skel_flann::sum_group(size_t g, uint32_t worker)
     c.count = 0;
     c.room(l.count + strays.size() + 1);
     c.add(now, l.at, l.count, false);
-    const float r = radius_of(*first), wide = r + l.reach + margin, wide2 = wide * wide * slack;
+    const float r = radius_of(*first), wide = r + l.reach + skin, wide2 = wide * wide * slack;
     const auto beyond = [&](uint32_t j, float x) { return now.at(j, 0) < x; };
-    for (auto j = std::lower_bound(strays.begin(), strays.end(), l.middle[0] - wide * slack, beyond); j != strays.end() && now.at(*j, 0) <= l.middle[0] + wide * slack; ++j) {
-        const float p[3] = {now.at(*j, 0), now.at(*j, 1), now.at(*j, 2)};
-        if (squared_distance(p, l.middle) < wide2) c.add(now, &*j, 1, true);
-    }
-    for (const uint32_t *i = first; i < last; i++) {
-        const float p[3] = {now.at(*i, 0), now.at(*i, 1), now.at(*i, 2)};
-        if (now.strayed[*i] == 0) out[*i] = sum_of(c, p, r * r);
-    }
+    for (auto j = std::lower_bound(strays.begin(), strays.end(), l.middle[0] - wide * slack, beyond); j != strays.end() && now.at(*j, 0) <= l.middle[0] + wide * slack; ++j)
+        if (squared_distance(now.at(*j).data(), l.middle) < wide2) c.add(now, &*j, 1, true);
+    for (const uint32_t *i = first; i < last; i++)
+        if (now.strayed[*i] == 0) out[*i] = sum_of(c, now.at(*i).data(), r * r);
 }
 
 void skel_flann::sum_stray(uint32_t i, uint32_t worker)
 {
     candidates &c = near[worker];
     std::vector<uint32_t> &around = found[worker];
-    const float r = radius_of(i), wide = r + margin;
+    const float r = radius_of(i), wide = r + skin;
     around.clear();
     collector all(wide * wide * slack, around);
-    float p[3] = {now.at(i, 0), now.at(i, 1), now.at(i, 2)};
-    index->findNeighbors(all, p, parameters);
+    std::array<float, 3> p = now.at(i);
+    index->findNeighbors(all, p.data(), parameters);
     c.count = 0;
     c.room(around.size() + strays.size() + 1);
     for (const uint32_t k : around)
         if (left[k] != gone) c.add(now, &left[k], 1, false);
     c.add(now, strays.data(), strays.size(), true);
-    out[i] = sum_of(c, p, r * r);
+    out[i] = sum_of(c, p.data(), r * r);
 }
 
-// The first of those that are welded stands for all. Who is near it was listed for it, and lists with others of them know it as well: no point has moved farther than half a margin from where it
+// The first of those that are welded stands for all. Who is near it was listed for it, and lists with others of them know it as well: no point has moved farther than half the skin from where it
 // was, strays aside, and the first does not become one by its new place without being seen.
 void skel_flann::weld(const uint32_t *label, uint32_t welded)
 {
@@ -438,10 +437,10 @@ extern "C" svo_result skel_flann_sums(skel_flann *f, const int32_t *points, cons
         f->strays.clear();
         f->listed = moved && f->before.size() == 3 * count;
         for (seen &s : f->sight) s.strays.clear(), std::fill_n(s.by_way, 256, 0);
-        if (f->listed) SVO_TRY(svo_parallel_for(count < 4096 ? 1 : f->threads, count, 1024, look, f, err));
+        if (f->listed) SVO_TRY(svo_parallel_for(f->threads, count, 4 * few, look, f, err));
         if (!(f->listed && f->still_serve())) SVO_TRY(f->make_lists(err));
-        const uint32_t threads = count < 1024 ? 1 : f->threads;
-        if (!f->keep()) { // the sums are there already
+        const uint32_t threads = count < few ? 1 : f->threads;
+        if (!f->keeps_lists()) { // the sums are there already
             f->drop_lists();
             return SVO_OK;
         }
