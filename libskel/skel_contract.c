@@ -3,8 +3,8 @@
  * (5.4.4), clamped to [0, 1]; rho = 0 gives beta = 0. All of a sweep reads the positions before it (Jacobi), and between sweeps positions are
  * whole lattice steps, so that sums are exact and no thread count or search structure changes the result.
  *
- * SKEL_METHOD_FAST does the same on fewer and fewer vertices: those that come within omega/8 are welded, with their count as weight
- * in m, and 4 smoothing steps share one ball search. docs/design/005-skeletons.md has the reasons and the figures. */
+ * SKEL_METHOD_FAST does the same on fewer and fewer vertices, and with momentum: those that come within omega/8 are welded, with their count as weight
+ * in m, 4 smoothing steps share one ball search, and what a vertex moved goes on in part (the heavy ball, Polyak 1964). docs/design/005-skeletons.md has the reasons and the figures. */
 #include "skeli_internal.h"
 #include "skeli_solid.h"
 #include "skeli_thick.h"
@@ -21,9 +21,12 @@ enum {
     FIRST_INTERVAL = 5,    /* sweeps between welds */
     LAST_INTERVAL = 40,
     SETTLED_AFTER = 150,   /* sweeps without a weld after which any vertex may be damped */
-    REVERSALS_FREE = 8,    /* a vertex may turn round that often before it is damped */
+    REVERSAL = 8,          /* what turning round adds to a vertex's reversals; going on in the same direction takes one away */
+    REVERSALS_FREE = 8 * REVERSAL,   /* a vertex may turn round that often before it is damped */
+    REVERSALS_MOST = 204 * REVERSAL, /* to a fiftieth */
     SMOOTHING_STEPS = 4,   /* a ball search, fast method */
     THICK_INTERVAL = 10,   /* sweeps between looks at what is thick */
+    MOMENTUM_WORK = 3000000, /* vertices times sweeps from which on there is momentum: what takes less is left as it is */
     SLOW_WORK = 10000000,  /* vertices times sweeps */
     SLOW_COUNT = 20000,    /* vertices that are left then where there is far to go: the quick way costs detail, so others do without */
     SWEEPS = 6000,         /* unless stated */
@@ -33,11 +36,18 @@ enum {
     GRAIN = 1024           /* items of a block otherwise */
 };
 #define STILL 1e-3 /* of omega: largest movement of a quiet sweep */
+/* What of its last step a vertex goes on with where beta is MOMENTUM_BETA or more; below, where a limb has become thin, the less the smaller beta is, so that ends do not run on into their limbs.
+ * It adds no more than MOMENTUM_MOST of the radius of the vertex's ball: slow parts are what it is for. */
+#define MOMENTUM 0.9
+#define MOMENTUM_BETA 0.25
+#define MOMENTUM_MOST 0.045
+#define LATTICE_END (SKEL_LATTICE - 1.0)
 
 typedef struct contraction {
     skeli_state *s;
     const skel_options *options;
     double omega; /* lattice steps */
+    uint64_t work; /* vertices times sweeps */
     bool merged_lately; /* damping waits for the welds to have done what they can */
     bool fast;
     struct skeli_solid *solid;
@@ -108,7 +118,8 @@ static svo_result ball_sums(contraction *c, svo_error *err)
 
 /* --- a sweep ------------------------------------------------------------------------------------------------------ */
 
-typedef struct movement { double sum, max; } movement; /* lattice steps; sum over original vertices */
+/* Lattice steps. sum (over original vertices) and max are of the steps that equation 5.4.4 asks for, far is how far vertices went. */
+typedef struct movement { double sum, max, far; } movement;
 
 /* Four numbers a vertex, of which three are used: vectors of four are added in one step. They lie as doubles do. */
 typedef double four __attribute__((vector_size(32), aligned(8), may_alias));
@@ -156,13 +167,24 @@ static double thickness(const skeli_state *s, uint64_t i)
     return b < 1 ? b : 1;
 }
 
-/* Take the step to `target`. A vertex that keeps turning round where it should rest is slowed down: such cycles come
- * from balls that gain and lose a member each sweep. The movement is measured before damping: slowing a vertex down is not convergence. */
+/* How much of its last step, which was `last` long, vertex i goes on with: nothing where it is slowed down. */
+static double momentum(const contraction *c, uint64_t i, double last)
+{
+    const skeli_state *s = c->s;
+    if (!c->fast || c->work < MOMENTUM_WORK || s->reversals[i] > REVERSALS_FREE) return 0;
+    const double thick = s->beta[i] < MOMENTUM_BETA ? s->beta[i] / MOMENTUM_BETA : 1;
+    const double most = MOMENTUM_MOST * c->omega * (c->thick > 0 ? 1u << c->doublings[i] : 1), kept = MOMENTUM * thick;
+    return kept * last > most ? most / last : kept;
+}
+
+/* Take the step to `target`, and a part of the last step. A vertex that keeps turning round where it should rest is slowed down: such cycles come
+ * from balls that gain and lose a member each sweep. The movement that counts is that before damping and without momentum, which is zero where nothing is left to do:
+ * slowing a vertex down is not convergence. */
 static void move(const contraction *c, uint64_t i, const four target, movement *m)
 {
     skeli_state *s = c->s;
     const double noise = 1e-10 * c->omega * c->omega;
-    double step[3], length2 = 0, last2 = 0, along = 0, *last = s->step + 3 * i, *p = s->position + 3 * i;
+    double step[3], length2 = 0, last2 = 0, along = 0, far2 = 0, *last = s->step + 3 * i, *p = s->position + 3 * i;
     for (int k = 0; k < 3; k++) {
         step[k] = target[k] - p[k];
         length2 += step[k] * step[k];
@@ -173,16 +195,21 @@ static void move(const contraction *c, uint64_t i, const four target, movement *
     m->sum += length * s->weight[i];
     if (length > m->max) m->max = length;
     if (c->fast) {
-        if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i]++;
-        if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 * (s->reversals[i] - REVERSALS_FREE));
-        if (f < 0.02) f = 0.02;
+        if ((s->beta[i] < 0.05 || !c->merged_lately) && along < -0.3 * sqrt(length2 * last2) && length2 > noise) s->reversals[i] += REVERSAL;
+        else if (c->work >= MOMENTUM_WORK && s->reversals[i] > 0 && along > 0.9 * sqrt(length2 * last2)) s->reversals[i]--;
+        if (s->reversals[i] > REVERSALS_MOST) s->reversals[i] = REVERSALS_MOST;
+        if (s->reversals[i] > REVERSALS_FREE) f = 1 / (1 + 0.25 / REVERSAL * (s->reversals[i] - REVERSALS_FREE));
     }
+    const double kept = momentum(c, i, sqrt(last2));
     for (int k = 0; k < 3; k++) {
-        last[k] = f * step[k];
-        p[k] = rint(p[k] + last[k]);
+        last[k] = f * step[k] + kept * last[k];
+        far2 += last[k] * last[k];
+        p[k] = fmax(-LATTICE_END, fmin(LATTICE_END, rint(p[k] + last[k]))); /* with momentum a vertex may leave the hull of the others, and must not leave the lattice */
         if (c->fast) c->point[3 * i + (uint64_t)k] = (int32_t)p[k];
     }
-    if (c->ways) c->way[i] -= (float)(2 * f * length); /* what it is on its way to may come as fast */
+    const double far = sqrt(far2);
+    if (far > m->far) m->far = far;
+    if (c->ways) c->way[i] -= (float)(2 * far); /* what it is on its way to may come as fast */
 }
 
 static svo_result smooth(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
@@ -191,7 +218,7 @@ static svo_result smooth(void *user, uint64_t begin, uint64_t end, uint32_t work
     (void)err;
     const smoothing *m = user;
     skeli_state *s = m->c->s;
-    movement moved = {0, 0};
+    movement moved = {0, 0, 0};
     for (uint64_t i = begin; i < end; i++) {
         if (m->first) s->beta[i] = thickness(s, i);
         const double b = s->beta[i];
@@ -224,10 +251,11 @@ static svo_result sweep(contraction *c, movement *m, svo_error *err)
         work.last = i == steps - 1;
         SVO_TRY(each(c, s->count, smooth, &work));
     }
-    *m = (movement){0, 0};
+    *m = (movement){0, 0, 0};
     for (uint64_t k = 0; k * GRAIN < s->count; k += s->count < PARALLEL_FROM ? PARALLEL_FROM : 1) { /* blocks of each() */
         m->sum += c->moved[k].sum;
         if (c->moved[k].max > m->max) m->max = c->moved[k].max;
+        if (c->moved[k].far > m->far) m->far = c->moved[k].far;
     }
     return SVO_OK;
 }
@@ -398,9 +426,8 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
     const skel_options *o = c->options;
     uint64_t last_weld = 0, last_removal = 0;
     uint32_t interval = FIRST_INTERVAL, quiet = 0;
-    uint64_t work = 0;
     bool hurry = false;
-    movement m = {0, 0};
+    movement m = {0, 0, 0};
     if (c->fast) {
         SVO_TRY(weld_dense(c, err));
         c->ways = c->s->count >= SLOW_COUNT;
@@ -410,15 +437,15 @@ static svo_result run(contraction *c, skel_report *report, svo_error *err)
     for (uint64_t it = 1; go_on(c, it - 1) && !report->converged; it++) {
         c->merged_lately = it - last_removal <= SETTLED_AFTER;
         SVO_TRY(sweep(c, &m, err));
-        if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, m.max, false, err));
+        if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, m.far, false, err));
         report->iterations = it;
         quiet = m.max < STILL * c->omega ? quiet + 1 : 0;
         report->converged = o->delta > 0 ? m.sum < o->delta * SKEL_LATTICE : quiet >= STILL_SWEEPS;
         if (o->progress != NULL && !o->progress(o->user, done(c, it)))
             return svo_fail(err, SVO_CANCELLED, "cancelled after %llu sweeps", (unsigned long long)it);
         if (!c->fast) continue;
-        work += c->s->count;
-        hurry = hurry || (c->ways && work >= SLOW_WORK && c->s->count >= SLOW_COUNT);
+        c->work += c->s->count;
+        hurry = hurry || (c->ways && c->work >= SLOW_WORK && c->s->count >= SLOW_COUNT);
         if (hurry && it % THICK_INTERVAL == 0) {
             SVO_TRY(weld_thick(c, err));
             if (c->solid != NULL) SVO_TRY(skeli_solid_step(c->solid, c->s, c->omega / 4 * (1 << SKELI_MOST_DOUBLINGS), false, err));

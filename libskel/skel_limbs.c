@@ -8,8 +8,10 @@ enum { RAYS = SKELI_CIRCLE, WIDTHS = 5 };
 #define FAR (4.0 * SKEL_LATTICE)
 #define STICKS_OUT 1.6 /* way to the tip by the radius at the root of a branch; more is a limb */
 /* What sticks out less of the ball at its root is one too where that is so many times its half width long and so many omega. Whether the contraction finds such limbs is chance, so those it has found
- * go, and those are made that keep clear of the threshold. */
+ * go, and those are made that keep clear of the threshold: what is short must be the more slender. */
 #define CLEARLY_SLENDER 2.5
+#define SHORT_SLENDER 4.0
+#define SHORT 5.0 /* omega */
 #define CLEARLY_OUT 1.75
 #define SLENDER 1.0 /* once they are in the middle */
 #define OUT 0.75
@@ -52,7 +54,7 @@ bool skeli_is_limb(const skeli_surface *s, double omega, skeli_limb which, doubl
     for (int k = 0; k < 3; k++) along[k] /= sqrt(length);
     for (int w = 0; w < WIDTHS; w++) hw += skeli_half_width(s, at + 3 * (ptrdiff_t)w, along) / WIDTHS;
     const bool sticks_out = *ratio >= STICKS_OUT;
-    return which == SKELI_LIMB_NEW ? out >= CLEARLY_OUT * omega && out >= CLEARLY_SLENDER * hw : sticks_out || (out >= OUT * omega && out >= SLENDER * hw);
+    return which == SKELI_LIMB_NEW ? out >= CLEARLY_OUT * omega && out >= (out < SHORT * omega ? SHORT_SLENDER : CLEARLY_SLENDER) * hw : sticks_out || (out >= OUT * omega && out >= SLENDER * hw);
 }
 
 /* Joints from an end up to and with the next one that has not two bones. */
