@@ -9,7 +9,7 @@
 #include "svo_task.h"
 
 enum { INSIDE = 1, NEAR = 2, PRESENT = 1, ANCHOR = 2, STRAIGHT = 3, DIAGONAL = 4, CORNER = 5 /* chamfer distances */, FIRST_SIDE = 64, ROUNDS = 4, ISLAND = 64 /* points */, CAP = 8 /* vertices */ };
-#define MOST_CELLS ((uint64_t)1 << 26)
+#define MOST_CELLS ((uint64_t)1 << 26) /* at most 216 steps an axis, so that coordinates of places have 16 bits */
 #define OFF_THE_GRID 0.37 /* of a step: flat sides at round coordinates do not lie on points */
 
 /* Cells of all dimensions on one grid of 2 n - 1 places an axis: an odd coordinate stands for the stretch between two points. */
@@ -135,96 +135,120 @@ static void deepen(cells *g)
         }
 }
 
-/* Every place all of whose ends are there; edges as they were found. Lower dimensions first. */
-static void fill_places(cells *g)
+/* Every place all of whose ends are there; edges as they were found. Places of one dimension, in planes across z: their ends, of the dimension below, are there already. */
+typedef struct fill { cells *g; uint32_t dimension; } fill;
+static svo_result fill_planes(void *user, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err)
 {
-    const uint32_t m[3] = {2 * g->n[0] - 1, 2 * g->n[1] - 1, 2 * g->n[2] - 1};
-    memset(g->place, 0, g->places);
-    for (uint32_t dimension = 0; dimension <= 3; dimension++)
-        for (uint32_t odd = 0; odd < 8; odd++) {
-            if ((odd & 1) + (odd >> 1 & 1) + (odd >> 2) != dimension) continue;
-            for (uint32_t z = odd >> 2; z < m[2]; z += 2)
-                for (uint32_t y = odd >> 1 & 1; y < m[1]; y += 2)
-                    for (uint32_t x = odd & 1; x < m[0]; x += 2) {
-                        uint64_t i = x + y * g->stride[1] + z * g->stride[2];
-                        const uint64_t point = point_at(g, x / 2, y / 2, z / 2);
-                        bool there = (g->link[point] & INSIDE) != 0 && (dimension != 1 || (g->edge[point] & odd) != 0);
-                        for (int k = 0; k < 3 && there; k++)
-                            if ((odd >> k & 1) != 0) there = g->place[i - g->stride[k]] != 0 && g->place[i + g->stride[k]] != 0;
-                        g->place[i] = there ? PRESENT : 0;
-                    }
+    (void)worker;
+    (void)err;
+    const fill *f = user;
+    cells *g = f->g;
+    for (uint64_t z = begin; z < end; z++)
+        for (uint32_t odd = z % 2 != 0 ? 4 : 0; odd < (z % 2 != 0 ? 8 : 4); odd++) {
+            if ((odd & 1) + (odd >> 1 & 1) + (odd >> 2) != f->dimension) continue;
+            for (uint32_t y = odd >> 1 & 1; y < 2 * g->n[1] - 1; y += 2)
+                for (uint32_t x = odd & 1; x < 2 * g->n[0] - 1; x += 2) {
+                    uint64_t i = x + y * g->stride[1] + z * g->stride[2];
+                    const uint64_t point = point_at(g, x / 2, y / 2, (uint32_t)z / 2);
+                    bool there = (g->link[point] & INSIDE) != 0 && (f->dimension != 1 || (g->edge[point] & odd) != 0);
+                    for (int k = 0; k < 3 && there; k++)
+                        if ((odd >> k & 1) != 0) there = g->place[i - g->stride[k]] != 0 && g->place[i + g->stride[k]] != 0;
+                    g->place[i] = there ? PRESENT : 0;
+                }
         }
+    return SVO_OK;
+}
+
+static svo_result fill_places(cells *g, uint32_t threads, svo_error *err)
+{
+    for (uint32_t dimension = 0; dimension <= 3; dimension++) {
+        fill f = {g, dimension};
+        SVO_TRY(svo_parallel_for(threads, 2 * (uint64_t)g->n[2] - 1, 8, fill_planes, &f, err));
+    }
+    return SVO_OK;
 }
 
 /* --- taking cells away ----------------------------------------------------------------------------------------------- */
 
+/* A place by its coordinates: dividing its number by the strides, again and again, took a third of the time. */
+typedef struct spot { uint16_t at[3]; } spot;
+static uint64_t place_of(const cells *g, spot p) { return p.at[0] + p.at[1] * g->stride[1] + p.at[2] * g->stride[2]; }
+
+/* The place beside it: which is 2 k for that before it on axis k, 2 k + 1 for that after it. */
+static spot beside(spot p, int which)
+{
+    p.at[which / 2] = (uint16_t)(which % 2 == 0 ? p.at[which / 2] - 1 : p.at[which / 2] + 1);
+    return p;
+}
+
 /* Free sides by depth: lists in one growing array, whose entries are used again. */
-typedef struct waiting { uint64_t place; uint32_t next; } waiting;
+typedef struct waiting { spot p; uint32_t next; } waiting;
 typedef struct queue {
     svo_buffer entries; /* waiting */
     uint32_t *head, spare, count;
 } queue;
 
-static bool push(queue *q, uint32_t key, uint64_t place)
+static bool push(queue *q, uint32_t key, spot p)
 {
     uint32_t i = q->spare;
     if (i != SVO_NONE) {
         q->spare = ((waiting *)(void *)q->entries.data)[i].next;
     } else {
-        const waiting none = {0, 0};
+        const waiting none = {{{0, 0, 0}}, 0};
         if (svo_buffer_append(&q->entries, &none, sizeof none) == NULL) return false;
         i = q->count++;
     }
-    ((waiting *)(void *)q->entries.data)[i] = (waiting){place, q->head[key]};
+    ((waiting *)(void *)q->entries.data)[i] = (waiting){p, q->head[key]};
     q->head[key] = i;
     return true;
 }
 
-static void coordinates(const cells *g, uint64_t place, uint32_t at[3])
+/* The one cell of the next dimension that this is a side of, as in beside(); -1: none or several. */
+static int only_cell(const cells *g, spot p, uint64_t place)
 {
-    at[2] = (uint32_t)(place / g->stride[2]);
-    at[1] = (uint32_t)(place % g->stride[2] / g->stride[1]);
-    at[0] = (uint32_t)(place % g->stride[1]);
-}
-
-/* The one cell of the next dimension that this is a side of; UINT64_MAX: none or several. */
-static uint64_t only_cell(const cells *g, uint64_t place)
-{
-    uint32_t at[3];
-    uint64_t found = UINT64_MAX;
-    coordinates(g, place, at);
+    int found = -1;
     for (int k = 0; k < 3; k++) {
-        if (at[k] % 2 != 0) continue;
-        for (int side = 0; side < 2; side++) {
-            if (side == 0 ? at[k] == 0 : at[k] == 2 * g->n[k] - 2) continue;
-            uint64_t i = side == 0 ? place - g->stride[k] : place + g->stride[k];
-            if (g->place[i] == 0) continue;
-            if (found != UINT64_MAX) return UINT64_MAX;
-            found = i;
+        if (p.at[k] % 2 != 0) continue;
+        if (p.at[k] != 0 && g->place[place - g->stride[k]] != 0) {
+            if (found >= 0) return -1;
+            found = 2 * k;
+        }
+        if (p.at[k] != 2 * g->n[k] - 2 && g->place[place + g->stride[k]] != 0) {
+            if (found >= 0) return -1;
+            found = 2 * k + 1;
         }
     }
     return found;
 }
 
-static uint32_t key_of(const cells *g, uint64_t place)
+static uint32_t key_of(const cells *g, spot p)
 {
-    uint32_t at[3];
-    coordinates(g, place, at);
-    return ((uint32_t)g->deep[point_at(g, at[0] / 2, at[1] / 2, at[2] / 2)] + g->deep[point_at(g, (at[0] + 1) / 2, (at[1] + 1) / 2, (at[2] + 1) / 2)]) / 2;
+    const uint32_t x = p.at[0], y = p.at[1], z = p.at[2];
+    return ((uint32_t)g->deep[point_at(g, x / 2, y / 2, z / 2)] + g->deep[point_at(g, (x + 1) / 2, (y + 1) / 2, (z + 1) / 2)]) / 2;
 }
 
 /* Sides of a place that was taken away, as far as they are free now. What waits at a depth that is done is taken at this one. */
-static bool push_sides(queue *q, const cells *g, uint64_t place, uint32_t key)
+static bool push_sides(queue *q, const cells *g, spot p, uint32_t key)
 {
-    uint32_t at[3];
-    coordinates(g, place, at);
-    for (int k = 0; k < 3; k++)
-        for (int end = 0; end < 2 && at[k] % 2 != 0; end++) {
-            const uint64_t i = end == 0 ? place - g->stride[k] : place + g->stride[k];
-            if (g->place[i] != PRESENT || only_cell(g, i) == UINT64_MAX) continue;
-            const uint32_t deep = key_of(g, i);
-            if (!push(q, deep > key ? deep : key, i)) return false;
-        }
+    for (int which = 0; which < 6; which++) {
+        if (p.at[which / 2] % 2 == 0) continue;
+        const spot side = beside(p, which);
+        const uint64_t i = place_of(g, side);
+        if (g->place[i] != PRESENT || only_cell(g, side, i) < 0) continue;
+        const uint32_t deep = key_of(g, side);
+        if (!push(q, deep > key ? deep : key, side)) return false;
+    }
+    return true;
+}
+
+static bool push_all(queue *q, const cells *g)
+{
+    spot p;
+    uint64_t i = 0;
+    for (p.at[2] = 0; p.at[2] < 2 * g->n[2] - 1; p.at[2]++)
+        for (p.at[1] = 0; p.at[1] < 2 * g->n[1] - 1; p.at[1]++)
+            for (p.at[0] = 0; p.at[0] < 2 * g->n[0] - 1; p.at[0]++, i++)
+                if (g->place[i] == PRESENT && only_cell(g, p, i) >= 0 && !push(q, key_of(g, p), p)) return false;
     return true;
 }
 
@@ -237,9 +261,7 @@ static svo_result take_away(skeli_pool *pool, cells *g, svo_error *err)
     q.head = skeli_take(pool, (uint64_t)deepest + 1, sizeof *q.head);
     if (q.head == NULL) return skeli_no_memory(err);
     memset(q.head, 0xff, ((size_t)deepest + 1) * sizeof *q.head);
-    bool ok = true;
-    for (uint64_t i = 0; i < g->places && ok; i++)
-        if (g->place[i] == PRESENT && only_cell(g, i) != UINT64_MAX) ok = push(&q, key_of(g, i), i);
+    bool ok = push_all(&q, g);
     for (uint32_t key = 0; key <= deepest && ok;) {
         uint32_t e = q.head[key];
         if (e == SVO_NONE) {
@@ -247,12 +269,15 @@ static svo_result take_away(skeli_pool *pool, cells *g, svo_error *err)
             continue;
         }
         waiting *w = (waiting *)(void *)q.entries.data + e;
-        uint64_t side = w->place, cell;
+        const spot side = w->p;
+        const uint64_t i = place_of(g, side);
+        int which;
         q.head[key] = w->next;
         w->next = q.spare;
         q.spare = e;
-        if (g->place[side] != PRESENT || (cell = only_cell(g, side)) == UINT64_MAX) continue;
-        g->place[side] = g->place[cell] = 0;
+        if (g->place[i] != PRESENT || (which = only_cell(g, side, i)) < 0) continue;
+        const spot cell = beside(side, which);
+        g->place[i] = g->place[place_of(g, cell)] = 0;
         /* of the side, too: it may have been the last but one cell around its own sides */
         ok = push_sides(&q, g, cell, key) && push_sides(&q, g, side, key);
     }
@@ -351,16 +376,16 @@ static uint32_t drop_islands(const cells *g, const uint32_t *label, const uint32
 /* What is left, as joints and bones, if it is a curve with the loops and components that are asked for. */
 static svo_result to_curve(skeli_pool *pool, const cells *g, const skeli_soup *mesh, const skeli_genus *want, skeli_curve *c, bool *done, svo_error *err)
 {
-    uint64_t joints = 0, bones = 0;
-    for (uint32_t odd = 0; odd < 8; odd++)
-        for (uint32_t z = odd >> 2; z < 2 * g->n[2] - 1; z += 2)
-            for (uint32_t y = odd >> 1 & 1; y < 2 * g->n[1] - 1; y += 2)
-                for (uint32_t x = odd & 1; x < 2 * g->n[0] - 1; x += 2) {
-                    if (g->place[x + y * g->stride[1] + z * g->stride[2]] == 0) continue;
-                    if (odd == 0) joints++;
-                    else if ((odd & (odd - 1)) == 0) bones++;
-                    else return SVO_OK; /* a cavity, or a knot of squares that has no free side */
-                }
+    uint64_t joints = 0, bones = 0, place = 0;
+    for (uint32_t z = 0; z < 2 * g->n[2] - 1; z++)
+        for (uint32_t y = 0; y < 2 * g->n[1] - 1; y++)
+            for (uint32_t x = 0; x < 2 * g->n[0] - 1; x++, place++) {
+                if (g->place[place] == 0) continue;
+                const uint32_t dimension = x % 2 + y % 2 + z % 2;
+                if (dimension > 1) return SVO_OK; /* a cavity, or a knot of squares that has no free side */
+                joints += dimension == 0;
+                bones += dimension == 1;
+            }
     if (joints == 0) return SVO_OK;
     uint32_t *label = skeli_take(pool, g->points, sizeof *label), *line = skeli_take(pool, g->points, sizeof *line), *parent = skeli_take(pool, joints, sizeof *parent);
     uint32_t *bone = skeli_take(pool, 2 * bones, sizeof *bone), *size = skeli_take(pool, joints, sizeof *size);
@@ -382,10 +407,10 @@ static svo_result to_curve(skeli_pool *pool, const cells *g, const skeli_soup *m
     uint64_t b = 0;
     const uint64_t next[3] = {1, g->n[0], (uint64_t)g->n[0] * g->n[1]};
     for (uint32_t j = 0; j < n; j++) {
-        uint64_t i = line[j], x = i % g->n[0], y = i / g->n[0] % g->n[1], z = i / next[2], place = 2 * (x + y * g->stride[1] + z * g->stride[2]);
+        uint64_t i = line[j], x = i % g->n[0], y = i / g->n[0] % g->n[1], z = i / next[2], even = 2 * (x + y * g->stride[1] + z * g->stride[2]);
         const uint64_t at[3] = {x, y, z};
         for (int k = 0; k < 3; k++) {
-            if (at[k] + 1 == g->n[k] || g->place[place + g->stride[k]] == 0) continue;
+            if (at[k] + 1 == g->n[k] || g->place[even + g->stride[k]] == 0) continue;
             bone[2 * b] = j;
             bone[2 * b++ + 1] = label[i + next[k]];
             uint32_t p = skeli_root(parent, j), q = skeli_root(parent, label[i + next[k]]);
@@ -549,7 +574,7 @@ static svo_result at_side(skeli_pool *pool, const skeli_soup *mesh, const skeli_
     deepen(&g);
     g.place = skeli_take(pool, g.places, 1);
     if (g.place == NULL) return skeli_no_memory(err);
-    fill_places(&g);
+    SVO_TRY(fill_places(&g, threads, err));
     if (anchor_ends(&g, ends)) {
         SVO_TRY(take_away(pool, &g, err));
         SVO_TRY(to_curve(pool, &g, mesh, want, c, done, err));
