@@ -4,9 +4,7 @@ import ctypes
 import ctypes.util
 import json
 import math
-import os
 import struct
-import tarfile
 
 import support
 import swc_reader
@@ -375,31 +373,6 @@ def test_not_converged(folder):
     report = support.report(folder / "r.json")
     check(report["output"]["converged"] is False and report["output"]["iterations"] == 3, report)
     check(any("did not converge" in str(w) for w in report["warnings"]) and "did not converge" in r.err, r)
-
-
-def test_memory_of_a_large_mesh(folder):
-    """Less than 600 bytes a vertex of the tessellated mesh, everything counted, for any number of threads."""
-    model = support.model("A_organic/armadillo/armadillo.obj")
-    for threads in (1, 2):
-        run("svo-skeleton", model, "-o", folder / "a.skel", "-f", "--omega", 0.004, "--max-iterations", 5, "--threads", threads, "--report", folder / "r.json")
-        report = support.report(folder / "r.json")
-        vertices = report["input"]["vertices_tessellated"]
-        check(vertices > 200000, vertices)
-        if not support.SANITIZED:
-            check(report["peak_rss_bytes"] < 600 * vertices, (threads, report["peak_rss_bytes"] / vertices))
-
-
-def test_fat_shapes_converge(folder):
-    """Fat shapes of CGAL's demo data: the mushroom needs more than 6000 sweeps, and those beyond are made, as few vertices are left."""
-    data = "/usr/share/doc/libcgal-demo/data.tar.gz"
-    if not os.path.exists(data):
-        support.skip("no CGAL demo data (Debian's libcgal-demo)")
-    for model, least in (("handle", 0), ("mushroom", 6000)):
-        with tarfile.open(data) as archive:
-            (folder / "fat.off").write_bytes(archive.extractfile("data/meshes/" + model + ".off").read())
-        r = run("svo-skeleton", folder / "fat.off", "-o", folder / "f.skel", "-f", "--report", folder / "r.json")
-        out = support.report(folder / "r.json")["output"]
-        check(out["converged"] is True and least < out["iterations"] <= 20000 and "did not converge" not in r.err, (model, out))
 
 
 def test_voxels(folder):
