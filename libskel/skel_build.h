@@ -17,7 +17,7 @@ extern "C" {
 
 /* How the contraction is run. Both stop by the same rules and share pre- and postprocessing. */
 typedef enum skel_method {
-    SKEL_METHOD_FAST = 0,   /* vertices that have come within omega/8 are welded on the way; 4 smoothing steps a ball search */
+    SKEL_METHOD_FAST = 0,   /* vertices that have come within omega/8 are welded on the way; 4 smoothing steps a ball search; in long runs with momentum (Polyak 1964) */
     SKEL_METHOD_LITERAL = 1 /* equations 5.4.1 to 5.4.4 on every vertex of the tessellated mesh, in every sweep */
 } skel_method;
 
@@ -142,7 +142,7 @@ typedef struct skel_report {
     uint64_t tessellated_vertices, tessellated_triangles;
     uint64_t iterations; /* sweeps done */
     bool converged;
-    double final_movement_sum, final_movement_max; /* of the last sweep */
+    double final_movement_sum, final_movement_max; /* units: the steps that the last sweep asked for, before damping and without momentum; the sum is over the tessellated vertices */
     double thinness_error;                         /* percent, equation 5.7.1 */
     uint32_t components, ends, branches, loops, isolated;
     uint32_t leftover_triangles;                 /* after the final weld, before they were made joints */

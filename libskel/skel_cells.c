@@ -9,7 +9,7 @@
 #include "svo_task.h"
 
 enum { INSIDE = 1, NEAR = 2, PRESENT = 1, ANCHOR = 2, STRAIGHT = 3, DIAGONAL = 4, CORNER = 5 /* chamfer distances */, FIRST_SIDE = 64, ROUNDS = 4, ISLAND = 64 /* points */, CAP = 8 /* vertices */ };
-#define MOST_CELLS ((uint64_t)1 << 26) /* at most 216 steps an axis, so that coordinates of places have 16 bits */
+#define MOST_CELLS ((uint64_t)1 << 26)
 #define OFF_THE_GRID 0.37 /* of a step: flat sides at round coordinates do not lie on points */
 
 /* Cells of all dimensions on one grid of 2 n - 1 places an axis: an odd coordinate stands for the stretch between two points. */
@@ -172,10 +172,11 @@ static svo_result fill_places(cells *g, uint32_t threads, svo_error *err)
 
 /* A place by its coordinates: dividing its number by the strides, again and again, took a third of the time. */
 typedef struct spot { uint16_t at[3]; } spot;
+_Static_assert(ROUNDS == 4 && 2 * (FIRST_SIDE * 27 / 8 + 3) < UINT16_MAX, "a grid of the last round has coordinates of 16 bits");
 static uint64_t place_of(const cells *g, spot p) { return p.at[0] + p.at[1] * g->stride[1] + p.at[2] * g->stride[2]; }
 
 /* The place beside it: which is 2 k for that before it on axis k, 2 k + 1 for that after it. */
-static spot beside(spot p, int which)
+static spot neighbour(spot p, int which)
 {
     p.at[which / 2] = (uint16_t)(which % 2 == 0 ? p.at[which / 2] - 1 : p.at[which / 2] + 1);
     return p;
@@ -203,7 +204,7 @@ static bool push(queue *q, uint32_t key, spot p)
     return true;
 }
 
-/* The one cell of the next dimension that this is a side of, as in beside(); -1: none or several. */
+/* The one cell of the next dimension that this is a side of, as in neighbour(); -1: none or several. */
 static int only_cell(const cells *g, spot p, uint64_t place)
 {
     int found = -1;
@@ -232,7 +233,7 @@ static bool push_sides(queue *q, const cells *g, spot p, uint32_t key)
 {
     for (int which = 0; which < 6; which++) {
         if (p.at[which / 2] % 2 == 0) continue;
-        const spot side = beside(p, which);
+        const spot side = neighbour(p, which);
         const uint64_t i = place_of(g, side);
         if (g->place[i] != PRESENT || only_cell(g, side, i) < 0) continue;
         const uint32_t deep = key_of(g, side);
@@ -276,7 +277,7 @@ static svo_result take_away(skeli_pool *pool, cells *g, svo_error *err)
         w->next = q.spare;
         q.spare = e;
         if (g->place[i] != PRESENT || (which = only_cell(g, side, i)) < 0) continue;
-        const spot cell = beside(side, which);
+        const spot cell = neighbour(side, which);
         g->place[i] = g->place[place_of(g, cell)] = 0;
         /* of the side, too: it may have been the last but one cell around its own sides */
         ok = push_sides(&q, g, cell, key) && push_sides(&q, g, side, key);

@@ -86,7 +86,7 @@ typedef struct skeli_state {
     uint32_t *weight;  /* original vertices in it */
     double *rho, *beta;
     double *step;      /* 3 each, last step */
-    uint32_t *reversals;
+    uint32_t *reversals; /* how often a vertex has turned round of late, in eighths; skel_contract.c */
     uint32_t triangle_count;
     uint32_t *corner;  /* 3 each, distinct corners */
     uint64_t edge_count;
