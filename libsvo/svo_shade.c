@@ -133,17 +133,18 @@ static double readings_of(const svo_shader *s, const svo_group *g, uint64_t loca
     return breadth < 2 / 0.58 ? 1.5 * faces * across * across : 0; /* 1.5 voxels a face (not a number: 0) */
 }
 
-/* Readings of each image as opaque colours, from up to 1024 triangles a group. False where triangles are not in memory. */
+/* Readings of each image without alpha, from up to 1024 triangles a group. False where triangles are not in memory. */
 static bool estimate_readings(const svo_shader *s, double *readings)
 {
     for (uint64_t i = 0; i < s->placement->group_count; i++) {
         const svo_group *g = &s->placement->groups[i];
         if (g->part->soup != NULL) return false;
         const shade_material *m = svoi_material_of(s, g->part->material);
-        const struct { const svo_pyramid *p; const svo_texture *how; } uses[2] = {{m->base, &m->m.base_color_texture}, {m->emissive, &m->m.emissive_texture}};
+        const struct { const svo_pyramid *p; const svo_texture *how; } uses[4] = {{m->base, &m->m.base_color_texture}, {m->opacity, &m->m.opacity_texture},
+            {m->emissive, &m->m.emissive_texture}, {m->metallic_roughness, &m->m.metallic_roughness_texture}};
         const uint64_t stride = g->part->triangle_count / 1024 + 1;
-        for (int k = 0; k < 2; k++) {
-            if (uses[k].p == NULL || uses[k].p->kind != SVO_TEXEL_COLOR) continue;
+        for (int k = 0; k < 4; k++) {
+            if (uses[k].p == NULL || uses[k].p->kind == SVO_TEXEL_COLOR_ALPHA) continue;
             double sum = 0;
             for (uint64_t local = 0; local < g->part->triangle_count; local += stride) sum += readings_of(s, g, local, uses[k].how, uses[k].p);
             readings[uses[k].p - s->pyramids] += sum * (double)stride;
@@ -160,7 +161,7 @@ void svo_shader_expand(svo_shader *s, uint64_t bytes, uint32_t threads)
     const bool known = readings != NULL && estimate_readings(s, readings);
     for (uint64_t i = 0; wanted != NULL && i < pyramids; i++) {
         const svo_pyramid *p = &s->pyramids[i];
-        if (p->levels == 0 || p->kind != SVO_TEXEL_COLOR) continue;
+        if (p->levels == 0 || p->kind == SVO_TEXEL_COLOR_ALPHA) continue;
         const uint64_t texels = (uint64_t)p->width[0] * p->height[0];
         if (known && readings[i] < 0.5 * (double)texels) continue; /* it would cost more than it saves */
         if (8 * texels > bytes) continue;

@@ -129,7 +129,7 @@ static bool in_range(const svo_facet_texture *f)
 static void read_lanes(svo_facet *t, uint32_t slot, const svo_texture *how, const svo_pyramid *p, bool weighted, svoi_lanes *l, float (*out)[SVOI_LANES])
 {
     const svo_facet_texture *f = svoi_facet_texture(t, slot, how, p);
-    if (p->kind == SVO_TEXEL_COLOR && !how->nearest && magnified(f) && in_range(f)) {
+    if (p->kind != SVO_TEXEL_COLOR_ALPHA && !how->nearest && magnified(f) && in_range(f)) {
         find_texels(t, f, l);
         svoi_read_points(how, p, l, out);
         return;

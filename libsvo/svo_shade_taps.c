@@ -81,11 +81,9 @@ static inline void load_pair(const svo_pyramid *p, uint32_t level, uint64_t at, 
     }
     const uint8_t *t = p->image->pixels + 4 * at;
     const float *linear = p->linear;
-    if (p->kind == SVO_TEXEL_COLOR) {
+    if (p->kind != SVO_TEXEL_COLOR_ALPHA) {
         const float *stored = p->stored;
         *out = (pair){stored[t[0]], stored[t[1]], stored[t[2]], 65535, stored[t[4]], stored[t[5]], stored[t[6]], 65535};
-    } else if (p->kind == SVO_TEXEL_LINEAR) {
-        *out = (pair){t[0], t[1], t[2], t[3], t[4], t[5], t[6], t[7]};
     } else {
         const float a = t[3] * (1.0f / 255), b = t[7] * (1.0f / 255);
         *out = (pair){linear[t[0]] * a, linear[t[1]] * a, linear[t[2]] * a, a, linear[t[4]] * b, linear[t[5]] * b, linear[t[6]] * b, b};
@@ -94,7 +92,7 @@ static inline void load_pair(const svo_pyramid *p, uint32_t level, uint64_t at, 
 
 static inline float unit(const svo_pyramid *p, uint32_t level)
 {
-    return level != 0 || p->kind == SVO_TEXEL_COLOR ? 1.0f / 65535 : p->kind == SVO_TEXEL_LINEAR ? 1.0f / 255 : 1;
+    return level != 0 || p->kind != SVO_TEXEL_COLOR_ALPHA ? 1.0f / 65535 : 1;
 }
 
 /* Two rows of two texels where the image is not all in memory. */
@@ -135,16 +133,16 @@ static inline bool place(const svo_pyramid *p, const svo_texture *how, const dou
     return true;
 }
 
-/* Is the level an opaque image of bytes that vector code can read? */
+/* Is the level an image of bytes without alpha that vector code can read? */
 static inline bool reads_bytes(const svo_pyramid *p, uint32_t level)
 {
-    return p->texels[level] == NULL && p->kind == SVO_TEXEL_COLOR && !p->outside && (uint64_t)p->width[0] * p->height[0] < (uint64_t)1 << 29 && svoi_bytes_has_wide();
+    return p->texels[level] == NULL && p->kind != SVO_TEXEL_COLOR_ALPHA && !p->outside && (uint64_t)p->width[0] * p->height[0] < (uint64_t)1 << 29 && svoi_bytes_has_wide();
 }
 
 /* Can the code for eight lanes read the level? */
 static inline bool reads_eight(const svo_pyramid *p, uint32_t level)
 {
-    return (p->texels[level] != NULL || p->kind == SVO_TEXEL_COLOR) && !p->outside && (uint64_t)p->width[level] * p->height[level] < (uint64_t)1 << 31 && svoi_avx2_has();
+    return (p->texels[level] != NULL || p->kind != SVO_TEXEL_COLOR_ALPHA) && !p->outside && (uint64_t)p->width[level] * p->height[level] < (uint64_t)1 << 31 && svoi_avx2_has();
 }
 
 /* The mean of its readings. Every other one has a sum of its own. */
@@ -273,9 +271,9 @@ static void load_two(const svo_pyramid *p, uint32_t level, uint64_t left, uint64
             continue;
         }
         const uint8_t *from = p->image->pixels + 4 * at[k];
-        const float alpha = p->kind == SVO_TEXEL_COLOR ? 65535 : p->kind == SVO_TEXEL_LINEAR ? (float)from[3] : from[3] * (1.0f / 255);
-        for (int c = 0; c < 3; c++)
-            t[4 * k + c] = p->kind == SVO_TEXEL_COLOR ? p->stored[from[c]] : p->kind == SVO_TEXEL_LINEAR ? (float)from[c] : p->linear[from[c]] * alpha;
+        const bool opaque = p->kind != SVO_TEXEL_COLOR_ALPHA;
+        const float alpha = opaque ? 65535 : from[3] * (1.0f / 255);
+        for (int c = 0; c < 3; c++) t[4 * k + c] = opaque ? p->stored[from[c]] : p->linear[from[c]] * alpha;
         t[4 * k + 3] = alpha;
     }
     memcpy(out, t, sizeof t);

@@ -42,10 +42,6 @@ static inline void texel(const svo_pyramid *p, uint32_t level, uint32_t x, uint3
         return;
     }
     const uint8_t *t = p->image->pixels + 4 * ((uint64_t)y * p->width[0] + x);
-    if (p->kind == SVO_TEXEL_LINEAR) {
-        for (int i = 0; i < 4; i++) out[i] = t[i] * (1.0f / 255);
-        return;
-    }
     float alpha = p->kind == SVO_TEXEL_COLOR_ALPHA ? t[3] * (1.0f / 255) : 1;
     for (int i = 0; i < 3; i++) out[i] = p->linear[t[i]] * alpha;
     out[3] = alpha;
@@ -147,7 +143,7 @@ void svo_pyramid_finest(const svo_image *image, svo_texel kind, svo_pyramid *out
 {
     *out = (svo_pyramid){.image = image, .kind = kind, .levels = 1};
     for (int i = 0; i < 256; i++) {
-        out->linear[i] = svo_srgb_to_linear((uint8_t)i);
+        out->linear[i] = kind == SVO_TEXEL_LINEAR ? (float)i * (1.0f / 255) : svo_srgb_to_linear((uint8_t)i);
         const uint16_t stored = (uint16_t)(out->linear[i] * 65535 + 0.5f);
         out->stored[i] = stored;
         out->halves[0][i] = (uint8_t)stored;
@@ -193,7 +189,7 @@ svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_
 void svo_pyramid_expand(svo_pyramid *p)
 {
     const uint64_t count = (uint64_t)p->width[0] * p->height[0];
-    if (p->kind != SVO_TEXEL_COLOR || p->outside || p->texels[0] != NULL) return;
+    if (p->kind == SVO_TEXEL_COLOR_ALPHA || p->outside || p->texels[0] != NULL) return;
     p->texels[0] = svo_alloc_texels(p->allocator, count, 8);
     if (p->texels[0] == NULL) return;
     uint16_t stored[256];
@@ -251,7 +247,7 @@ static inline void texel_vector(const svo_pyramid *p, uint32_t level, uint32_t x
         *out = __builtin_convertvector(__builtin_convertvector(t, whole4), texel4);
         return;
     }
-    if (p->kind == SVO_TEXEL_COLOR) {
+    if (p->kind != SVO_TEXEL_COLOR_ALPHA) {
         const uint8_t *c = p->image->pixels + 4 * ((uint64_t)y * p->width[0] + x);
         *out = (texel4){p->linear[c[0]], p->linear[c[1]], p->linear[c[2]], 1};
         return;

@@ -13,7 +13,7 @@ extern "C" {
 typedef enum svo_texel {
     SVO_TEXEL_COLOR = 0,         /* sRGB colour, alpha ignored (reads as 1) */
     SVO_TEXEL_COLOR_ALPHA = 1,   /* sRGB colour weighted by alpha, so that hidden texels do not bleed; linear alpha */
-    SVO_TEXEL_LINEAR = 2         /* four linear numbers */
+    SVO_TEXEL_LINEAR = 2         /* three linear numbers, alpha ignored (reads as 1) */
 } svo_texel;
 
 /* An image with its mip levels. Level 0 is the image itself; a texel of level l+1 is the exact area average of the texels
@@ -27,7 +27,7 @@ typedef struct svo_pyramid {
     float share_x[32], share_y[32]; /* of the image's width and height */
     uint16_t *texels[32]; /* 4 a texel; [0] is NULL but after svo_pyramid_expand; COLOR_ALPHA: premultiplied */
     uint8_t *most[32];    /* COLOR_ALPHA: largest alpha; [0] is NULL (the image itself) */
-    float linear[256];   /* of a byte of level 0 */
+    float linear[256];   /* of a byte of level 0: of sRGB, or byte / 255 */
     float stored[256];   /* the same as the other levels hold it: whole numbers up to 65535 */
     uint8_t halves[2][256]; /* their lower and upper bytes */
     const svo_allocator *allocator;
@@ -38,7 +38,7 @@ typedef struct svo_pyramid {
 /* The image is borrowed. SVO_OUT_OF_MEMORY. */
 svo_result svo_pyramid_create(const svo_image *image, svo_texel kind, const svo_allocator *a, svo_pyramid *out, svo_error *err);
 void svo_pyramid_free(svo_pyramid *p);
-/* Keep a COLOR image, of which all is in memory, as 16-bit linear numbers too (8 bytes a texel, alpha 65535), where memory allows it: readings of
+/* Keep an image without alpha, of which all is in memory, as 16-bit linear numbers too (8 bytes a texel, alpha 65535), where memory allows it: readings of
  * many texels are quicker, and the same. */
 void svo_pyramid_expand(svo_pyramid *p);
 /* The image alone, with no levels above it: nothing is allocated, nothing needs to be freed. */

@@ -18,7 +18,7 @@ static svo_image random_image(uint32_t width, uint32_t height, uint64_t seed)
 static void linear_texel(const svo_image *image, svo_texel kind, int64_t x, int64_t y, double out[4])
 {
     const uint8_t *p = image->pixels + 4 * ((size_t)y * image->width + (size_t)x);
-    double alpha = kind == SVO_TEXEL_COLOR ? 1 : p[3] / 255.0;
+    double alpha = kind == SVO_TEXEL_COLOR_ALPHA ? p[3] / 255.0 : 1;
     for (int i = 0; i < 3; i++) {
         double c = p[i] / 255.0, l = c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4);
         out[i] = kind == SVO_TEXEL_LINEAR ? c : kind == SVO_TEXEL_COLOR_ALPHA ? l * alpha : l;
