@@ -26,6 +26,7 @@ static bool fill_fast(const svo_view *v, uint32_t level, svoi_record *to)
         if (size > UINT16_MAX) return false;
         to->size[o] = (uint16_t)size;
         to->child[o] = (uint32_t)at << 6 | turn;
+        to->mask[o] = (uint8_t)(at >> SVOI_RECORD_BITS);
     }
     return true;
 }
@@ -72,6 +73,8 @@ static uint32_t places_number(const places *p, uint64_t at)
     return p->before[at / 64] + (uint32_t)__builtin_popcountll(p->bit[at / 64] & (((uint64_t)1 << at % 64) - 1));
 }
 
+static uint64_t child_at(const svoi_record *n, uint32_t o, bool best) { return best ? n->child[o] >> 6 : svoi_record_at(n->child[o] >> 6, n->mask[o]); }
+
 /* A child, or a cell, whose record is `number`. */
 static uint32_t link_record(svoi_record *record, uint64_t number, uint64_t at, uint32_t mask, uint64_t total, uint32_t turn)
 {
@@ -107,14 +110,17 @@ static bool fill_levels(svoi_top *t, const svo_view *v, places *p)
         memset(p->bit, 0, p->words * sizeof *p->bit);
         for (uint64_t i = first; i < first + count; i++)
             for (uint32_t o = 0; o < 8; o++)
-                if (t->record[i].size[o] != 0 && t->record[i].child[o] != SVOI_RECORD_FULL) places_add(p, t->record[i].child[o] >> 6);
+                if (t->record[i].size[o] != 0 && t->record[i].child[o] != SVOI_RECORD_FULL) places_add(p, child_at(&t->record[i], o, best));
         uint64_t next = first + count, below = places_count(p);
         if (below > t->record_count - next) return false;
         for (uint64_t i = first; i < next; i++) {
             svoi_record *n = &t->record[i];
-            for (uint32_t o = 0; o < 8; o++)
-                if (n->size[o] != 0 && n->child[o] != SVOI_RECORD_FULL)
-                    n->child[o] = link_record(t->record, next + places_number(p, n->child[o] >> 6), n->child[o] >> 6, n->mask[o], n->size[o], n->child[o] & 63);
+            for (uint32_t o = 0; o < 8; o++) {
+                if (n->size[o] == 0 || n->child[o] == SVOI_RECORD_FULL) continue;
+                const uint64_t at = child_at(n, o, best);
+                n->child[o] = link_record(t->record, next + places_number(p, at), at, best ? n->mask[o] : 0, n->size[o], n->child[o] & 63);
+                if (!best) n->mask[o] = 0;
+            }
         }
         first = next, count = below;
     }
@@ -162,7 +168,8 @@ static uint64_t tree_bits(const svo_view *v) { return 8 * (v->layout == SVO_LAYO
 bool svoi_records_fit(const svo_view *v, uint32_t level, uint64_t most)
 {
     const uint64_t count = records_count(v, level);
-    return count != 0 && count <= most && tree_bits(v) >> SVOI_RECORD_BITS == 0;
+    const uint32_t bits = v->layout == SVO_LAYOUT_BEST ? SVOI_RECORD_BITS : SVOI_RECORD_BITS + SVOI_RECORD_MORE;
+    return count != 0 && count <= most && tree_bits(v) >> bits == 0;
 }
 
 void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a)

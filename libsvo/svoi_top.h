@@ -15,7 +15,8 @@
 
 #include "svoi_best.h"
 
-enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 19, SVOI_RECORD_SHIFT = 8, SVOI_RECORD_BITS = 26 }; /* at most */
+enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 19, SVOI_RECORD_SHIFT = 8 }; /* at most */
+enum { SVOI_RECORD_BITS = 26, SVOI_RECORD_MORE = 2 }; /* of a bit position; more of it in layout fast */
 enum { SVOI_TOP_SHARE = 6 }; /* more cells where there are no records: one for each 64 bytes of the tree */
 
 typedef struct svoi_top_node {
@@ -43,7 +44,7 @@ typedef struct svoi_record_cell {
 typedef struct svoi_record {
     uint16_t size[8];  /* attributes of a child (1 where nothing is numbered); 0: no child */
     uint32_t child[8]; /* number of its record, of a block its bit position; shifted by 6, and below the turn from this frame to its own */
-    uint8_t mask[8];   /* layout best: child mask of a block */
+    uint8_t mask[8];   /* layout best: child mask of a block; fast: what its position has above SVOI_RECORD_BITS */
     uint32_t at;       /* bit position, ascending in a level */
     uint32_t total;    /* layout best: attributes of the subtree */
 } svoi_record;
@@ -123,6 +124,8 @@ static inline uint32_t svoi_size_sum(const void *sizes, uint32_t which, uint32_t
     s[0] += s[1];
     return (uint32_t)(s[0] + (s[0] >> 32));
 }
+/* Layout fast: a bit position from its lower part and mask[]. */
+static inline uint64_t svoi_record_at(uint32_t low, uint32_t mask) { return (uint64_t)mask << SVOI_RECORD_BITS | low; }
 /* Attributes of its children in the stored octants of `which`. */
 static inline uint32_t svoi_record_size(const svoi_record *n, uint32_t which) { return svoi_size_sum(n->size, which, 0xffff); }
 
@@ -143,7 +146,7 @@ static inline const svoi_size *svoi_sizes_find(const svoi_sizes *t, uint64_t at)
 /* From the root to the block (8^3) of a voxel, where there are records. */
 typedef struct svoi_record_block {
     uint64_t attribute; /* of the block; where it lies in a full leaf, of that */
-    uint32_t at, mask;  /* bit position */
+    uint32_t at, mask;  /* bit position; mask[] of the record */
     uint32_t turn;      /* from the grid to the block's frame */
     bool full;
 } svoi_record_block;

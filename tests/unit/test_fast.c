@@ -294,6 +294,34 @@ TEST(random_voxels_that_share_nothing)
     compare_and_free(&t);
 }
 
+/* Records hold bit positions: of a tree so large that they do not fit into what is left beside a turn. */
+TEST(records_of_a_tree_of_more_than_26_bits_of_position)
+{
+    const uint32_t depth = 9;
+    const uint64_t bricks = (uint64_t)1 << (3 * depth - 6);
+    uint64_t seed = 8, *c = new_codes(bricks * 8), n = 0;
+    for (uint64_t i = 0; i < bricks; i++) { /* five of eight bricks, which are hardly ever alike: written out, 64 bits each */
+        if (test_random(&seed) % 8 > 4) continue;
+        uint64_t bits = 0, r = test_random(&seed);
+        for (uint32_t k = 0; k < 8; k++, r >>= 6) bits |= (uint64_t)1 << (r & 63);
+        for (; bits != 0; bits &= bits - 1) c[n++] = i << 6 | (uint64_t)__builtin_ctzll(bits);
+    }
+    tree t;
+    set_codes(&t, depth, c, n);
+    svo_packed *p = build(&t, SVO_LAYOUT_FAST, true, 1, NULL);
+    if (p != NULL) {
+        svo_view v = *svo_packed_view(p), bare = v;
+        CHECK(8 * v.fast.tree_bytes >> SVOI_RECORD_BITS != 0 && 8 * v.fast.tree_bytes >> (SVOI_RECORD_BITS + SVOI_RECORD_MORE) == 0);
+        v.top = svoi_top_make(&v, SVOI_TOP_CELLS, SVOI_RECORDS, NULL);
+        bare.top = NULL;
+        CHECK(v.top != NULL && v.top->record != NULL);
+        for (uint64_t k = 0; k < 20 && !test_failed(); k++) same_places(&bare, &v, &t, &seed);
+        svoi_top_free(v.top, NULL);
+        svo_packed_free(p);
+    }
+    tree_free(&t);
+}
+
 /* All 48 turns of one random block of 8^3, side by side: one block must be stored, and each of its bricks once. */
 TEST(mirrored_and_rotated_copies_merge)
 {
