@@ -106,11 +106,40 @@ static inline void row_range(const double r[4], const double low[3], const doubl
     *least = a, *most = b;
 }
 
-static inline double farthest(double low, double high) { return fmax(fabs(low), fabs(high)); }
+static inline double farthest(double low, double high)
+{
+    const double a = fabs(low), b = fabs(high);
+    return a > b || b != b ? a : b; /* as fmax */
+}
+
+static void make_slice(const svo_slices *s, bool twist, double at, const double in[12], const double out[12], svo_slice *to)
+{
+    double slice[12];
+    to->angle = angle_at(s, at);
+    if (twist) twist_slice(s, at, out, slice);
+    else bend_slice(s, at, out, slice);
+    multiply(slice, in, to->all);
+}
+
+/* The slice at `at`: one that is kept, or made in *room. */
+static const svo_slice *slice_at(svo_slice_cache *kept, const svo_slices *s, bool twist, double at, const double in[12], const double out[12], svo_slice *room)
+{
+    if (kept == NULL) {
+        make_slice(s, twist, at, in, out, room);
+        return room;
+    }
+    uint64_t bits;
+    memcpy(&bits, &at, sizeof bits);
+    svo_slice *to = &kept->slice[(bits * 0x9e3779b97f4a7c15u + (twist ? 1u : 0u)) >> 56];
+    if (to->map == kept->map && to->at == at && to->twist == twist) return to;
+    make_slice(s, twist, at, in, out, to);
+    to->map = kept->map, to->at = at, to->twist = twist;
+    return to;
+}
 
 /* Image of a box under out * slices * in. Between two slices every coordinate of a point is within second derivative * length^2 / 8 of the
- * straight line between its images in both, and never farther than the arc's diameter. */
-static box through_slices(const svo_slices *s, bool twist, const double in[12], const double out[12], const double low[3], const double high[3])
+ * straight line between its images in both, and never farther than the arc's diameter. kept: of these matrices; NULL: none. */
+static box through_slices(svo_slice_cache *kept, const svo_slices *s, bool twist, const double in[12], const double out[12], const double low[3], const double high[3])
 {
     double at[4], first, last;
     row_range(in + 4 * s->axis, low, high, &first, &last);
@@ -126,16 +155,14 @@ static box through_slices(const svo_slices *s, bool twist, const double in[12], 
         radius = sqrt(farthest(u0, u1) * farthest(u0, u1) + farthest(v0, v1) * farthest(v0, v1));
     } else radius = farthest(1 - rate * u0, 1 - rate * u1) / fabs(rate); /* of the arc; infinite when straight */
     box b = empty_box;
-    double away = 0;
+    double away = 0, angle = 0;
     for (uint32_t i = 0; i < n; i++) {
-        double slice[12], all[12];
-        if (twist) twist_slice(s, at[i], out, slice);
-        else bend_slice(s, at[i], out, slice);
-        multiply(slice, in, all);
-        join(&b, all, low, high);
-        if (i == 0) continue;
-        double turn = fabs(angle_at(s, at[i]) - angle_at(s, at[i - 1]));
-        if (turn != 0) away = fmax(away, fmin(radius * turn * turn / 8, 2 * radius));
+        svo_slice room;
+        const svo_slice *slice = slice_at(kept, s, twist, at[i], in, out, &room);
+        join(&b, slice->all, low, high);
+        const double turn = fabs(slice->angle - angle);
+        angle = slice->angle;
+        if (i != 0 && turn != 0) away = fmax(away, fmin(radius * turn * turn / 8, 2 * radius));
     }
     if (!(away == 0)) {
         uint32_t p = s->u, q = twist ? s->v : s->axis;
@@ -218,12 +245,13 @@ svo_vec3 svo_deform_point(const svo_deform *d, uint32_t bone, svo_vec3 p)
 static void box_after(const svo_deform *d, const double in[12], const double low[3], const double high[3], double out_low[3], double out_high[3])
 {
     box b;
+    svo_slice_cache *kept = (d->flags & SVO_POSE_BONES) == 0 ? d->kept : NULL; /* each bone has an `in` of its own */
     switch (d->flags & (SVO_POSE_TWIST | SVO_POSE_BEND)) {
-    case SVO_POSE_TWIST: b = through_slices(&d->twist, true, in, d->out.m, low, high); break;
-    case SVO_POSE_BEND: b = through_slices(&d->bend, false, in, d->out.m, low, high); break;
+    case SVO_POSE_TWIST: b = through_slices(kept, &d->twist, true, in, d->out.m, low, high); break;
+    case SVO_POSE_BEND: b = through_slices(kept, &d->bend, false, in, d->out.m, low, high); break;
     case SVO_POSE_TWIST | SVO_POSE_BEND: {
-        box t = through_slices(&d->twist, true, in, identity, low, high);
-        b = through_slices(&d->bend, false, identity, d->out.m, t.low, t.high);
+        box t = through_slices(kept, &d->twist, true, in, identity, low, high);
+        b = through_slices(NULL, &d->bend, false, identity, d->out.m, t.low, t.high); /* twisted bounds are all different */
         break;
     }
     default: {
@@ -357,15 +385,44 @@ static svo_vec3 covector(const svo_deform *d, svo_vec3 n)
     return svo_v3(m[0] * n.x + m[4] * n.y + m[8] * n.z, m[1] * n.x + m[5] * n.y + m[9] * n.z, m[2] * n.x + m[6] * n.y + m[10] * n.z);
 }
 
+/* What twist or bend makes of directions at q (its derivative there). */
+static void slices_directions(const svo_slices *s, bool twist, svo_vec3 q, svo_vec3 direction[3])
+{
+    const double p[3] = {q.x, q.y, q.z}, at = p[s->axis], rate = at >= s->from && at < s->to ? s->angle / (s->to - s->from) : 0;
+    const double angle = angle_at(s, at), c = cos(angle), n = sin(angle);
+    const double pu = c * p[s->u] - n * p[s->v], pv = n * p[s->u] + c * p[s->v], length = 1 - rate * p[s->u]; /* the point after a twist; of a bend's inner sides, which are shorter */
+    for (int k = 0; k < 3; k++) {
+        double d[3] = {direction[k].x, direction[k].y, direction[k].z};
+        const double du = d[s->u], dv = d[s->v], along = d[s->axis];
+        if (twist) {
+            d[s->u] = c * du - n * dv - along * rate * pv;
+            d[s->v] = n * du + c * dv + along * rate * pu;
+        } else {
+            d[s->u] = c * du + along * length * n;
+            d[s->axis] = along * length * c - n * du;
+        }
+        direction[k] = svo_v3(d[0], d[1], d[2]);
+    }
+}
+
+static svo_vec3 direction_after(const svo_mat4 *m, svo_vec3 v)
+{
+    const double *a = m->m;
+    return svo_v3(a[0] * v.x + a[1] * v.y + a[2] * v.z, a[4] * v.x + a[5] * v.y + a[6] * v.z, a[8] * v.x + a[9] * v.y + a[10] * v.z);
+}
+
 /* Images of the grid's three planes at p, as vectors at right angles to them as long as the image of half an edge times half an edge is large. Returns whether the map reflects. */
 static bool planes_after(const svo_deform *d, const svo_mat4 *in, svo_vec3 p, double edge, svo_vec3 plane[3])
 {
-    svo_vec3 column[3];
-    double h = 0.25 * edge;
-    for (int k = 0; k < 3; k++) {
-        svo_vec3 step = svo_v3(k == 0 ? h : 0, k == 1 ? h : 0, k == 2 ? h : 0);
-        column[k] = svo_sub(point_after(d, in, svo_add(p, step)), point_after(d, in, svo_sub(p, step)));
+    svo_vec3 column[3], q = svo_mat4_point(in, p);
+    const double h = 0.5 * edge;
+    for (int k = 0; k < 3; k++) column[k] = svo_v3(h * in->m[k], h * in->m[4 + k], h * in->m[8 + k]);
+    if ((d->flags & SVO_POSE_TWIST) != 0) slices_directions(&d->twist, true, q, column);
+    if ((d->flags & SVO_POSE_BEND) != 0) {
+        if ((d->flags & SVO_POSE_TWIST) != 0) q = slices_point(&d->twist, true, q);
+        slices_directions(&d->bend, false, q, column);
     }
+    for (int k = 0; k < 3; k++) column[k] = direction_after(&d->out, column[k]);
     plane[0] = svo_cross(column[1], column[2]), plane[1] = svo_cross(column[2], column[0]), plane[2] = svo_cross(column[0], column[1]);
     return svo_dot(column[0], plane[0]) < 0;
 }

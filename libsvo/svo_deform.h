@@ -26,6 +26,14 @@ typedef struct svo_slices {
     double from, to, angle;
 } svo_slices;
 
+/* Matrices of slices that were asked for last: neighbours, parents and children have theirs in common. Of one map at a time, for one thread. */
+enum { SVO_SLICES_KEPT = 256 };
+typedef struct svo_slice { uint64_t map; double at, angle, all[12]; bool twist; } svo_slice;
+typedef struct svo_slice_cache {
+    uint64_t map; /* number of the map whose slices count; one more for the next map. From 1 on */
+    svo_slice slice[SVO_SLICES_KEPT];
+} svo_slice_cache;
+
 /* An instance's map from the grid of its asset to a target space, made ready. Plain data, owns nothing; the scene's arrays are borrowed. */
 typedef struct svo_deform {
     uint32_t flags; /* of the pose */
@@ -35,6 +43,7 @@ typedef struct svo_deform {
     svo_mat4 grid;  /* grid to mesh; with bones, `in` is what comes after them */
     const svo_poses *poses;
     uint32_t bone_first, bone_count;
+    svo_slice_cache *kept; /* NULL: none. Borrowed; changes no result, and then one thread at a time may use the map */
 } svo_deform;
 
 /* pose NULL: none. grid_to_mesh: the asset's voxel_to_world; mesh_to_target: the instance's transform (or any affine map after it). */

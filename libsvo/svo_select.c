@@ -8,6 +8,8 @@
 
 /* More instances than this go to threads by pages. */
 enum { BY_PAGES = 4096 };
+/* Depths that a thread has for itself, at most. */
+enum { OWN_SAMPLES = 1 << 24 };
 
 svo_result svoi_select_no_memory(svo_error *err) { return svo_fail(err, SVO_OUT_OF_MEMORY, "out of memory for the selected voxels"); }
 
@@ -81,7 +83,8 @@ static svo_result split_jobs(svoi_selecting *s, svo_buffer *jobs, svo_error *err
             const svoi_job *j = (const svoi_job *)(const void *)jobs->data + i;
             svoi_posed p = svoi_posed_make(s, j->page, j->instance);
             double low[3], high[3];
-            if (j->top.level != round || j->top.level + 6u > p.view->depth || svoi_judge(s, &p, &j->top, low, high) != SVOI_DESCEND) {
+            svoi_place place;
+            if (j->top.level != round || j->top.level + 6u > p.view->depth || svoi_judge(s, &p, &j->top, low, high, &place) != SVOI_DESCEND) {
                 ok = svo_buffer_append(&more, j, sizeof *j) != NULL;
                 continue;
             }
@@ -166,7 +169,11 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     s.coverage_channel = svoi_find_channels(scene, "coverage", SVO_KIND_UNORM8, &svoi_covers, o->allocator, &any);
     s.outputs = svo_calloc(o->allocator, threads, sizeof *s.outputs);
     if (s.outputs == NULL || ((s.normal_channel == NULL || s.coverage_channel == NULL) && scene->asset_count != 0)) result = svoi_select_no_memory(err);
-    for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) svo_buffer_init(&s.outputs[t].boxes, o->allocator);
+    const uint64_t samples = (uint64_t)o->width * o->height;
+    for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) {
+        svo_buffer_init(&s.outputs[t].boxes, o->allocator);
+        if (o->occlusion && samples <= OWN_SAMPLES) s.outputs[t].own.nearest = svo_alloc(o->allocator, samples, sizeof(float)); /* without memory there is none */
+    }
     if (result == SVO_OK && o->occlusion) result = svoi_depth_make(&s.depth, o->width, o->height, o->allocator, err);
     if (result == SVO_OK) result = make_bones(&s, err);
     if (result == SVO_OK) result = svoi_find_copies(scene, o->allocator, &s.copy, err);
@@ -181,6 +188,7 @@ svo_result svo_select(const svo_scene *scene, const svo_select_options *o, svo_s
     for (uint32_t t = 0; t < threads && s.outputs != NULL; t++) {
         add_report(&out->report, &s.outputs[t].report);
         svo_buffer_free(&s.outputs[t].boxes);
+        svo_free(o->allocator, s.outputs[t].own.nearest, samples, sizeof(float));
     }
     svo_buffer_free(&spans);
     svo_free(o->allocator, s.outputs, threads, sizeof *s.outputs);

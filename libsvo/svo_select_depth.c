@@ -66,8 +66,13 @@ void svoi_draw_box_rows(const svoi_look *l, const float low[3], const float high
     if (r.far <= 0) return;
     svoi_span s = svoi_samples(l, &r);
     s.y0 = s.y0 > begin ? s.y0 : begin, s.y1 = s.y1 < end ? s.y1 : end;
-    for (uint32_t y = s.y0; y < s.y1; y++)
-        for (uint32_t x = s.x0; x < s.x1; x++) {
+    svoi_draw_span(l, lo, hi, &s, hit, user);
+}
+
+void svoi_draw_span(const svoi_look *l, const double lo[3], const double hi[3], const svoi_span *s, svoi_sample_fn hit, void *user)
+{
+    for (uint32_t y = s->y0; y < s->y1; y++)
+        for (uint32_t x = s->x0; x < s->x1; x++) {
             double u = (x + 0.5 - 0.5 * l->width) / l->focal, v = (0.5 * l->height - y - 0.5) / l->focal, enter = 0, leave = INFINITY;
             for (int k = 0; k < 3; k++) {
                 double d = l->axis[2][k] + u * l->axis[0][k] + v * l->axis[1][k];
@@ -75,8 +80,8 @@ void svoi_draw_box_rows(const svoi_look *l, const float low[3], const float high
                     if (lo[k] > 0 || hi[k] < 0) leave = -1;
                     continue;
                 }
-                double w = 1 / d, a = lo[k] * w, b = hi[k] * w;
-                enter = fmax(enter, fmin(a, b)), leave = fmin(leave, fmax(a, b));
+                double w = 1 / d, a = lo[k] * w, b = hi[k] * w, first = a < b ? a : b, last = a < b ? b : a;
+                enter = first > enter ? first : enter, leave = last < leave ? last : leave;
             }
             if (enter <= leave) hit(user, x, y, (float)enter, (float)leave);
         }

@@ -17,9 +17,9 @@ static bool is_hidden(const svoi_selecting *s, const svoi_rect *r)
 
 /* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. What is out of sight or hidden is so with all that the cells made of it
  * can cover. */
-static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size)
+static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size, svoi_place *place)
 {
-    svoi_rect r = svoi_project(&s->look, low, high);
+    svoi_rect r = place->box = svoi_project(&s->look, low, high);
     double shortest = INFINITY, longest = 0, l[3], h[3];
     *size = r.x1 - r.x0 > r.y1 - r.y0 ? r.x1 - r.x0 : r.y1 - r.y0;
     if (s->o->overhang[0] > 0 || s->o->overhang[1] > 0) {
@@ -32,6 +32,7 @@ static svoi_sight project(const svoi_selecting *s, const double low[3], const do
         low = l, high = h;
         r = svoi_project(&s->look, l, h);
     }
+    place->reach = r;
     if (s->o->frustum && (r.far <= 0 || svoi_outside(&s->look, low, high))) return SVOI_OUT_OF_SIGHT;
     if (s->o->occlusion && is_hidden(s, &r)) return SVOI_HIDDEN;
     return SVOI_SEEN;
@@ -102,7 +103,7 @@ uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8]
 
 static const svo_bone_range resting = {SVO_NO_BONE, 255, 255, {0, 0}};
 
-static double edge_of(const svoi_posed *p, const svoi_visit *n) { return ldexp(1, (int)(p->view->depth - n->level)); }
+static double edge_of(const svoi_posed *p, const svoi_visit *n) { return (double)((uint64_t)1 << (p->view->depth - n->level)); }
 
 /* Is nothing behind the node to be seen through it? */
 static bool covers(const svoi_selecting *s, const svoi_posed *p, uint64_t attribute)
@@ -114,7 +115,53 @@ static bool covers(const svoi_selecting *s, const svoi_posed *p, uint64_t attrib
     return value[0] == svoi_covers;
 }
 
-static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, const double low[3], const double high[3], svoi_output *out)
+/* A box in the depths of all and of its job. */
+typedef struct drawn { const svoi_selecting *s; svoi_own_depth *own; } drawn;
+static void add_depth(void *user, uint32_t x, uint32_t y, float depth, float leave)
+{
+    const drawn *d = user;
+    const svoi_span *own = &d->own->span;
+    if (x >= own->x0 && x < own->x1 && y >= own->y0 && y < own->y1) {
+        float *nearest = &d->own->nearest[(uint64_t)y * d->s->look.width + x];
+        if (!(depth < *nearest)) return; /* nor is it the nearest of all */
+        *nearest = depth;
+    }
+    svoi_depth_add((void *)&d->s->depth, x, y, depth, leave);
+}
+
+enum { OWN_SMALL = 16, OWN_TEXEL = 8 };
+/* Forget the job before. The samples of `r` and those of texels that reach beyond it; none for what reaches behind the eye. */
+static void begin_own(const svoi_selecting *s, const svoi_rect *r, svoi_own_depth *own)
+{
+    own->span = (svoi_span){0, 0, 0, 0};
+    if (own->nearest == NULL || r->near <= 0) return;
+    const double around = OWN_TEXEL;
+    svoi_rect wide = {r->x0 - around, r->y0 - around, r->x1 + around, r->y1 + around, r->near, r->far};
+    own->span = svoi_samples(&s->look, &wide);
+    for (uint32_t y = own->span.y0; y < own->span.y1; y++)
+        for (uint32_t x = own->span.x0; x < own->span.x1; x++) own->nearest[(uint64_t)y * s->look.width + x] = INFINITY;
+}
+
+/* Is it behind what its own job has drawn, with the texels that it has when drawn by mipmaps? Only small ones are looked at; parts of large ones will be small. */
+static bool hides_itself(const svoi_selecting *s, const svoi_own_depth *own, const svoi_rect *r)
+{
+    if (r->near <= 0) return false;
+    svoi_span a = svoi_samples(&s->look, r);
+    const svoi_span *b = &own->span;
+    const uint32_t size = a.x1 - a.x0 > a.y1 - a.y0 ? a.x1 - a.x0 : a.y1 - a.y0;
+    if (a.x0 >= a.x1 || a.y0 >= a.y1 || size > OWN_SMALL) return false;
+    const uint32_t rest = (size > 8 ? 8 : size > 4 ? 4 : size > 2 ? 2 : 1) - 1; /* of a texel */
+    a.x0 &= ~rest, a.y0 &= ~rest, a.x1 = (a.x1 + rest) & ~rest, a.y1 = (a.y1 + rest) & ~rest;
+    a.x1 = a.x1 < s->look.width ? a.x1 : s->look.width, a.y1 = a.y1 < s->look.height ? a.y1 : s->look.height;
+    if (a.x0 < b->x0 || a.y0 < b->y0 || a.x1 > b->x1 || a.y1 > b->y1) return false;
+    const double near = r->near * (1 - 1e-6);
+    for (uint32_t y = a.y0; y < a.y1; y++)
+        for (uint32_t x = a.x0; x < a.x1; x++)
+            if (!(near > (double)own->nearest[(uint64_t)y * s->look.width + x])) return false;
+    return true;
+}
+
+static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, const double low[3], const double high[3], const svoi_rect *rect, svoi_output *out)
 {
     const uint64_t attribute = p->view->depth >= 2 ? svo_view_node_attribute(p->view, n->level, n->node) : n->node.attribute;
     svo_selected b = {.instance = (uint32_t)p->instance, .attribute = attribute};
@@ -139,7 +186,11 @@ static bool take(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
     svo_oct32_encode(f, b.normal);
     out->report.selected++;
     out->report.finest += n->level == p->view->depth;
-    if (s->o->occlusion && covers(s, p, attribute)) svoi_draw_box(&s->look, b.low, b.high, svoi_depth_add, (void *)&s->depth);
+    if (s->o->occlusion && rect->far > 0 && covers(s, p, attribute)) {
+        const svoi_span samples = svoi_samples(&s->look, rect);
+        drawn d = {s, &out->own};
+        svoi_draw_span(&s->look, low, high, &samples, add_depth, &d);
+    }
     return svo_buffer_append(&out->boxes, &b, sizeof b) != NULL;
 }
 
@@ -163,7 +214,7 @@ void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double
 
 /* The images of all points of a node are in its box and in the page's, so its box is cut to that: what a page that is not seen leaves out is then the same as what its
  * nodes would. */
-svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3])
+svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3], svoi_place *place)
 {
     double from[3], to[3], size, edge = edge_of(p, n);
     for (int k = 0; k < 3; k++) from[k] = n->cell[k] * edge, to[k] = from[k] + edge;
@@ -177,7 +228,7 @@ svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_vi
         if (low[k] > high[k]) return SVOI_OUTSIDE;
     }
     round_outwards(low, high);
-    svoi_sight seen = project(s, low, high, &size);
+    svoi_sight seen = project(s, low, high, &size, place);
     if (seen != SVOI_SEEN) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
     if (n->level >= p->view->depth) return SVOI_TAKE;
     if (s->o->whole) return high[0] - low[0] <= s->o->edge && high[1] - low[1] <= s->o->edge && high[2] - low[2] <= s->o->edge ? SVOI_TAKE : SVOI_DESCEND;
@@ -198,33 +249,60 @@ svoi_posed svoi_posed_make(const svoi_selecting *s, uint32_t page, uint64_t inst
     return p;
 }
 
-static svo_result run_job(const svoi_selecting *s, const svoi_job *j, svoi_output *out, svo_error *err)
+/* A node that has been judged. */
+typedef struct judged {
+    svoi_visit n;
+    double low[3], high[3];
+    svoi_place place;
+    bool take;
+} judged;
+
+/* Judge nodes and push those that are left, the nearest last. False: one overflows. */
+static bool push(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *nodes, uint32_t count, judged *stack, uint32_t *top, svoi_output *out)
+{
+    const uint32_t first = *top;
+    for (uint32_t i = 0; i < count; i++) {
+        judged j = {.n = nodes[i]};
+        out->report.visited++;
+        const svoi_fate fate = svoi_judge(s, p, &j.n, j.low, j.high, &j.place);
+        if (fate == SVOI_OVERFLOW) return false;
+        out->report.outside += fate == SVOI_OUTSIDE;
+        out->report.hidden += fate == SVOI_BEHIND;
+        if (fate != SVOI_TAKE && fate != SVOI_DESCEND) continue;
+        j.take = fate == SVOI_TAKE;
+        uint32_t at = (*top)++;
+        for (; at > first && stack[at - 1].place.box.near < j.place.box.near; at--) stack[at] = stack[at - 1];
+        stack[at] = j;
+    }
+    return true;
+}
+
+/* From near to far, so that what is near hides what is behind it. own: of a whole page, made ready; else it is the job's. */
+static svo_result run_job(const svoi_selecting *s, const svoi_job *j, bool of_page, svoi_output *out, svo_error *err)
 {
     svoi_posed p = svoi_posed_make(s, j->page, j->instance);
-    svoi_visit stack[8 * SVO_MAX_DEPTH + 8], next[8];
+    judged stack[8 * SVO_MAX_DEPTH + 8];
+    svoi_visit next[8];
     uint32_t top = 0;
     uint64_t first = out->boxes.size;
-    stack[top++] = j->top;
-    while (top != 0) {
-        svoi_visit n = stack[--top];
-        double low[3], high[3];
-        out->report.visited++;
-        switch (svoi_judge(s, &p, &n, low, high)) {
-        case SVOI_OVERFLOW:
-            out->boxes.size = (size_t)first;
-            out->report.overflowed++;
-            return SVO_OK;
-        case SVOI_OUTSIDE: out->report.outside++; break;
-        case SVOI_BEHIND: out->report.hidden++; break;
-        case SVOI_TAKE:
-            if (!take(s, &p, &n, low, high, out)) return svoi_select_no_memory(err);
-            break;
-        case SVOI_DESCEND: {
-            uint32_t count = svoi_children(p.view, &n, next);
-            while (count != 0) stack[top++] = next[--count];
-        }
+    out->slices.map++;
+    p.map.kept = &out->slices;
+    bool finite = push(s, &p, &j->top, 1, stack, &top, out);
+    if (s->o->occlusion && !of_page && top != 0) begin_own(s, &stack[0].place.reach, &out->own);
+    while (top != 0 && finite) {
+        const judged n = stack[--top];
+        if (s->o->occlusion && hides_itself(s, &out->own, &n.place.reach)) {
+            out->report.hidden++;
+        } else if (n.take) {
+            if (!take(s, &p, &n.n, n.low, n.high, &n.place.box, out)) return svoi_select_no_memory(err);
+        } else {
+            const uint32_t count = svoi_children(p.view, &n.n, next);
+            finite = push(s, &p, next, count, stack, &top, out);
         }
     }
+    if (finite) return SVO_OK;
+    out->boxes.size = (size_t)first;
+    out->report.overflowed++;
     return SVO_OK;
 }
 
@@ -248,9 +326,10 @@ bool svoi_wanted(const svoi_selecting *s, uint64_t instance)
 svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page)
 {
     double low[3], high[3], size;
+    svoi_place place;
     svoi_page_box(s, page, low, high);
     round_outwards(low, high);
-    return project(s, low, high, &size);
+    return project(s, low, high, &size, &place);
 }
 
 static svo_result run_page(const svoi_selecting *s, uint32_t page, svoi_output *out, svo_error *err)
@@ -258,10 +337,16 @@ static svo_result run_page(const svoi_selecting *s, uint32_t page, svoi_output *
     const svo_scene_page *g = &s->scene->pages[page];
     if (svoi_see_page(s, page) != SVOI_SEEN) return SVO_OK;
     out->report.pages_seen++;
+    if (s->o->occlusion) {
+        double low[3], high[3];
+        svoi_page_box(s, page, low, high);
+        const svoi_rect r = svoi_project(&s->look, low, high);
+        begin_own(s, &r, &out->own);
+    }
     for (uint64_t i = g->first; i < g->first + g->count; i++) {
         if (!svoi_wanted(s, i)) continue;
         svoi_job j = {svoi_root_of(s->scene->assets[s->scene->instance_asset[i]]), page, i};
-        SVO_TRY(run_job(s, &j, out, err));
+        SVO_TRY(run_job(s, &j, true, out, err));
     }
     return SVO_OK;
 }
@@ -272,7 +357,7 @@ svo_result svoi_run_jobs(void *user, uint64_t begin, uint64_t end, uint32_t work
     svoi_output *out = &s->outputs[worker];
     for (uint64_t i = begin; i < end; i++) {
         s->spans[i] = (svoi_job_span){worker, out->boxes.size / sizeof(svo_selected), 0};
-        SVO_TRY(s->jobs[i].instance == SVOI_WHOLE_PAGE ? run_page(s, s->jobs[i].page, out, err) : run_job(s, &s->jobs[i], out, err));
+        SVO_TRY(s->jobs[i].instance == SVOI_WHOLE_PAGE ? run_page(s, s->jobs[i].page, out, err) : run_job(s, &s->jobs[i], false, out, err));
         s->spans[i].count = out->boxes.size / sizeof(svo_selected) - s->spans[i].first;
     }
     return SVO_OK;

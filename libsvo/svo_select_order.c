@@ -64,12 +64,10 @@ static svo_result cut(const svoi_selecting *s, const svoi_job *whole, svo_buffer
     while (top != 0) {
         svoi_job part = {stack[--top], whole->page, whole->instance};
         double low[3], high[3], size = 0;
-        svoi_fate f = svoi_judge(s, &p, &part.top, low, high);
+        svoi_place place;
+        svoi_fate f = svoi_judge(s, &p, &part.top, low, high, &place);
         if (f == SVOI_OUTSIDE || f == SVOI_BEHIND) continue;
-        if (f == SVOI_DESCEND) {
-            svoi_rect r = svoi_project(&s->look, low, high);
-            size = fmax(r.x1 - r.x0, r.y1 - r.y0);
-        }
+        if (f == SVOI_DESCEND) size = fmax(place.box.x1 - place.box.x0, place.box.y1 - place.box.y0);
         if (f == SVOI_DESCEND && size > LARGE && part.top.level + 4u <= p.view->depth) {
             uint32_t count = svoi_children(p.view, &part.top, next);
             while (count != 0) stack[top++] = next[--count];

@@ -23,13 +23,14 @@ bool svoi_outside(const svoi_look *look, const double low[3], const double high[
 
 /* Samples whose middles a rectangle holds: [x0, x1) x [y0, y1), empty where x0 >= x1 or y0 >= y1. */
 typedef struct svoi_span { uint32_t x0, y0, x1, y1; } svoi_span;
+static inline uint32_t svoi_clamped(double x, uint32_t most) { return x > 0 ? x < most ? (uint32_t)x : most : 0; } /* not a number: 0 */
 static inline svoi_span svoi_samples(const svoi_look *l, const svoi_rect *r)
 {
     svoi_span s;
     /* (a little wider, for the rounding of the projection) */
     double e = 1e-6;
-    s.x0 = (uint32_t)fmin(fmax(ceil(r->x0 - 0.5 - e), 0), l->width), s.y0 = (uint32_t)fmin(fmax(ceil(r->y0 - 0.5 - e), 0), l->height);
-    s.x1 = (uint32_t)fmin(fmax(floor(r->x1 - 0.5 + e) + 1, 0), l->width), s.y1 = (uint32_t)fmin(fmax(floor(r->y1 - 0.5 + e) + 1, 0), l->height);
+    s.x0 = svoi_clamped(ceil(r->x0 - 0.5 - e), l->width), s.y0 = svoi_clamped(ceil(r->y0 - 0.5 - e), l->height);
+    s.x1 = svoi_clamped(floor(r->x1 - 0.5 + e) + 1, l->width), s.y1 = svoi_clamped(floor(r->y1 - 0.5 + e) + 1, l->height);
     return s;
 }
 
@@ -38,6 +39,7 @@ static inline svoi_span svoi_samples(const svoi_look *l, const svoi_rect *r)
 typedef void (*svoi_sample_fn)(void *user, uint32_t x, uint32_t y, float depth, float leave);
 void svoi_draw_box_rows(const svoi_look *look, const float low[3], const float high[3], uint32_t begin, uint32_t end, svoi_sample_fn hit, void *user); /* rows [begin, end) */
 void svoi_draw_box(const svoi_look *look, const float low[3], const float high[3], svoi_sample_fn hit, void *user);
+void svoi_draw_span(const svoi_look *look, const double low[3], const double high[3], const svoi_span *s, svoi_sample_fn hit, void *user); /* of its samples, those in *s */
 
 extern const uint8_t svoi_covers; /* coverage of a voxel that hides what is behind it */
 /* For each asset the number of its channel with this name and kind, SVO_MAX_CHANNELS where it has none, or one that is `plain` (NULL: any) everywhere. Freed by the

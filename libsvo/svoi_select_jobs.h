@@ -20,8 +20,16 @@ typedef struct svoi_job {
 } svoi_job;
 #define SVOI_WHOLE_PAGE UINT64_MAX
 
+/* What a thread alone has drawn of its job, so that a job hides parts of itself whatever other threads do. */
+typedef struct svoi_own_depth {
+    float *nearest; /* of each sample of the picture, those of `span` made ready; NULL: there is none */
+    svoi_span span; /* where the job can be */
+} svoi_own_depth;
+
 typedef struct svoi_output {
     svo_buffer boxes;
+    svoi_own_depth own;
+    svo_slice_cache slices;
     svo_select_report report;
 } svoi_output;
 
@@ -66,8 +74,9 @@ svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page);
 /* The top of an instance. */
 svoi_visit svoi_root_of(const svo_view *v);
 uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8]);
-/* Deform a node and say what is to be done with it. low and high are its box unless it overflows. */
-svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3]);
+/* Deform a node and say what is to be done with it. low and high are its box unless it overflows; *place, where it is not outside, where that is in the picture. */
+typedef struct svoi_place { svoi_rect box, reach; } svoi_place; /* reach: of all that cells made of the box can cover */
+svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3], svoi_place *place);
 /* A svo_range_fn over s->jobs, for svo_parallel_for. */
 svo_result svoi_run_jobs(void *selecting, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err);
 
