@@ -1,6 +1,12 @@
 /* Records of the stored nodes between the cells of the upper level and the blocks. */
 #include "svoi_fast.h"
 
+static void set_child(svoi_record *to, uint32_t o, uint64_t at, uint32_t turn)
+{
+    to->child[o] = (uint32_t)at << 6 | turn;
+    to->high |= (uint32_t)(at >> SVOI_RECORD_BITS) << 4 * o;
+}
+
 /* Children as they lie in the file: positions in place of numbers. False: something does not fit. */
 static bool fill_fast(const svo_view *v, uint32_t level, svoi_record *to)
 {
@@ -8,6 +14,7 @@ static bool fill_fast(const svo_view *v, uint32_t level, svoi_record *to)
     const bool blocks = level + 2 == v->brick_level;
     const uint32_t bits = v->fast.level[level].size_bits;
     uint64_t inner = n.inner;
+    to->high = 0;
     for (uint32_t m = n.mask; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m), slot = svoi_fast_slot(n.refs, o), turn = 0;
         to->size[o] = 1;
@@ -25,8 +32,7 @@ static bool fill_fast(const svo_view *v, uint32_t level, svoi_record *to)
         }
         if (size > UINT16_MAX) return false;
         to->size[o] = (uint16_t)size;
-        to->child[o] = (uint32_t)at << 6 | turn;
-        to->mask[o] = (uint8_t)(at >> SVOI_RECORD_BITS);
+        set_child(to, o, at, turn);
     }
     return true;
 }
@@ -38,7 +44,7 @@ static bool fill_best(const svo_view *v, uint32_t level, svoi_record *to)
     svoi_best_node n = {to->at, to->mask[0]};
     svoi_best_head h = svoi_best_read_head(b, level, n);
     uint64_t rest = to->total - (v->lod ? 1 : 0), at = h.sizes;
-    to->mask[0] = 0;
+    to->mask[0] = 0, to->high = 0;
     for (uint32_t m = n.mask; m != 0; m &= m - 1) {
         uint32_t o = (uint32_t)__builtin_ctz(m), turn;
         uint64_t size = v->unnumbered ? 1 : (m & (m - 1)) == 0 ? rest : svoi_bits_get(b->stream, at, h.size_width);
@@ -49,7 +55,7 @@ static bool fill_best(const svo_view *v, uint32_t level, svoi_record *to)
         to->child[o] = SVOI_RECORD_FULL;
         if (h.full >> o & 1) continue;
         svoi_best_node c = svoi_best_child(b, level, n, &h, o, &turn);
-        to->child[o] = (uint32_t)c.at << 6 | svoi_turn_inverse(turn);
+        set_child(to, o, c.at, svoi_turn_inverse(turn));
         to->mask[o] = (uint8_t)c.mask;
     }
     return true;
@@ -72,8 +78,6 @@ static uint32_t places_number(const places *p, uint64_t at)
 {
     return p->before[at / 64] + (uint32_t)__builtin_popcountll(p->bit[at / 64] & (((uint64_t)1 << at % 64) - 1));
 }
-
-static uint64_t child_at(const svoi_record *n, uint32_t o, bool best) { return best ? n->child[o] >> 6 : svoi_record_at(n->child[o] >> 6, n->mask[o]); }
 
 /* A child, or a cell, whose record is `number`. */
 static uint32_t link_record(svoi_record *record, uint64_t number, uint64_t at, uint32_t mask, uint64_t total, uint32_t turn)
@@ -110,16 +114,16 @@ static bool fill_levels(svoi_top *t, const svo_view *v, places *p)
         memset(p->bit, 0, p->words * sizeof *p->bit);
         for (uint64_t i = first; i < first + count; i++)
             for (uint32_t o = 0; o < 8; o++)
-                if (t->record[i].size[o] != 0 && t->record[i].child[o] != SVOI_RECORD_FULL) places_add(p, child_at(&t->record[i], o, best));
+                if (t->record[i].size[o] != 0 && t->record[i].child[o] != SVOI_RECORD_FULL) places_add(p, svoi_record_at(&t->record[i], o));
         uint64_t next = first + count, below = places_count(p);
         if (below > t->record_count - next) return false;
         for (uint64_t i = first; i < next; i++) {
             svoi_record *n = &t->record[i];
             for (uint32_t o = 0; o < 8; o++) {
                 if (n->size[o] == 0 || n->child[o] == SVOI_RECORD_FULL) continue;
-                const uint64_t at = child_at(n, o, best);
-                n->child[o] = link_record(t->record, next + places_number(p, at), at, best ? n->mask[o] : 0, n->size[o], n->child[o] & 63);
-                if (!best) n->mask[o] = 0;
+                const uint64_t at = svoi_record_at(n, o);
+                n->child[o] = link_record(t->record, next + places_number(p, at), at, n->mask[o], n->size[o], n->child[o] & 63);
+                n->high &= ~(15u << 4 * o);
             }
         }
         first = next, count = below;
@@ -168,8 +172,7 @@ static uint64_t tree_bits(const svo_view *v) { return 8 * (v->layout == SVO_LAYO
 bool svoi_records_fit(const svo_view *v, uint32_t level, uint64_t most)
 {
     const uint64_t count = records_count(v, level);
-    const uint32_t bits = v->layout == SVO_LAYOUT_BEST ? SVOI_RECORD_BITS : SVOI_RECORD_BITS + SVOI_RECORD_MORE;
-    return count != 0 && count <= most && tree_bits(v) >> bits == 0;
+    return count != 0 && count <= most && tree_bits(v) >> (SVOI_RECORD_BITS + SVOI_RECORD_MORE) == 0;
 }
 
 void svoi_records_make(svoi_top *t, const svo_view *v, const svo_allocator *a)

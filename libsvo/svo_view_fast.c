@@ -53,7 +53,7 @@ bool svo_view_fast_voxel(const svo_view *v, uint32_t x, uint32_t y, uint32_t z, 
         if (!svoi_records_descend(v, x, y, z, count, &found)) return false;
         attribute = found.attribute;
         if (found.full) goto full;
-        at = svoi_record_at(found.at, found.mask), turn = found.turn, bit = 2;
+        at = found.at, turn = found.turn, bit = 2;
         goto block;
     }
     if (v->top != NULL) {

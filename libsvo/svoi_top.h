@@ -16,7 +16,7 @@
 #include "svoi_best.h"
 
 enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 19, SVOI_RECORD_SHIFT = 8 }; /* at most */
-enum { SVOI_RECORD_BITS = 26, SVOI_RECORD_MORE = 2 }; /* of a bit position; more of it in layout fast */
+enum { SVOI_RECORD_BITS = 26, SVOI_RECORD_MORE = 2 }; /* of a bit position: beside a turn, and apart from it */
 enum { SVOI_TOP_SHARE = 6 }; /* more cells where there are no records: one for each 64 bytes of the tree */
 
 typedef struct svoi_top_node {
@@ -44,9 +44,12 @@ typedef struct svoi_record_cell {
 typedef struct svoi_record {
     uint16_t size[8];  /* attributes of a child (1 where nothing is numbered); 0: no child */
     uint32_t child[8]; /* number of its record, of a block its bit position; shifted by 6, and below the turn from this frame to its own */
-    uint8_t mask[8];   /* layout best: child mask of a block; fast: what its position has above SVOI_RECORD_BITS */
+    uint8_t mask[8];   /* layout best: child mask of a block */
     uint32_t at;       /* bit position, ascending in a level */
-    uint32_t total;    /* layout best: attributes of the subtree */
+    union {
+        uint32_t total; /* layout best, until it is filled: attributes of the subtree */
+        uint32_t high;  /* then: four bits a child, what a block's position has above SVOI_RECORD_BITS */
+    };
 } svoi_record;
 #define SVOI_RECORD_FULL UINT32_MAX /* a full leaf */
 _Static_assert(sizeof(svoi_record) == 64, "one cache line");
@@ -124,8 +127,8 @@ static inline uint32_t svoi_size_sum(const void *sizes, uint32_t which, uint32_t
     s[0] += s[1];
     return (uint32_t)(s[0] + (s[0] >> 32));
 }
-/* Layout fast: a bit position from its lower part and mask[]. */
-static inline uint64_t svoi_record_at(uint32_t low, uint32_t mask) { return (uint64_t)mask << SVOI_RECORD_BITS | low; }
+/* Bit position of a child that is not a record. */
+static inline uint64_t svoi_record_at(const svoi_record *n, uint32_t o) { return (uint64_t)(n->high >> 4 * o & 15) << SVOI_RECORD_BITS | n->child[o] >> 6; }
 /* Attributes of its children in the stored octants of `which`. */
 static inline uint32_t svoi_record_size(const svoi_record *n, uint32_t which) { return svoi_size_sum(n->size, which, 0xffff); }
 
@@ -146,7 +149,8 @@ static inline const svoi_size *svoi_sizes_find(const svoi_sizes *t, uint64_t at)
 /* From the root to the block (8^3) of a voxel, where there are records. */
 typedef struct svoi_record_block {
     uint64_t attribute; /* of the block; where it lies in a full leaf, of that */
-    uint32_t at, mask;  /* bit position; mask[] of the record */
+    uint64_t at;        /* bit position */
+    uint32_t mask;
     uint32_t turn;      /* from the grid to the block's frame */
     bool full;
 } svoi_record_block;
@@ -166,7 +170,7 @@ static inline bool svoi_records_descend(const svo_view *v, uint32_t x, uint32_t 
     const svoi_record_cell *cell = &t->record_cell[at];
     uint32_t child = cell->child, turn = child & 63;
     uint64_t attribute = (link >> 24) + cell->attribute;
-    out->mask = 0;
+    out->mask = 0, out->at = 0;
     for (uint32_t bit = t->shift; bit > 3 && child != SVOI_RECORD_FULL;) {
         bit--;
         const svoi_record *n = &t->record[child >> 6];
@@ -174,12 +178,11 @@ static inline bool svoi_records_descend(const svo_view *v, uint32_t x, uint32_t 
         if (n->size[stored] == 0) return false;
         if (count) attribute += (v->lod ? 1 : 0) + svoi_record_size(n, svoi_turn_mask(turn, (1u << octant) - 1));
         child = n->child[stored];
-        out->mask = n->mask[stored];
+        out->mask = n->mask[stored], out->at = svoi_record_at(n, stored);
         if (child == SVOI_RECORD_FULL) break; /* it has no turn */
         turn = svoi_turn_after(child & 63, turn);
     }
     out->attribute = attribute;
-    out->at = child >> 6;
     out->turn = turn;
     out->full = child == SVOI_RECORD_FULL;
     return true;
