@@ -45,7 +45,9 @@ void svo_resampled_free(svo_resampled *r);
 /* ---- a scene with poses ---------------------------------------------------------------------------------------------- */
 
 typedef struct svo_unpose_options {
-    svo_select_options select; /* allocator and threads are used for all */
+    svo_select_options select; /* allocator and threads are used for all; with `shadows` and culling, what can shade what is seen is kept (all of few instances, or where some have no pose) */
+    bool shadows;
+    svo_vec3 light;            /* towards it, any length > 0 */
     svo_resample_method method;
     bool reflections;   /* metallic and roughness are wanted */
     double reflectance; /* of assets that have neither, 0..1 */

@@ -10,6 +10,9 @@
 extern "C" {
 #endif
 
+/* What can throw a shadow on what is seen. */
+typedef struct svo_light_mask svo_light_mask;
+
 typedef struct svo_select_options {
     svo_eye eye;
     uint32_t width, height; /* samples of the picture; a box is sized in them */
@@ -17,6 +20,7 @@ typedef struct svo_select_options {
     bool everything;        /* instances without a pose too */
     bool frustum;           /* leave out what is outside the picture (3.2.3) */
     bool occlusion;         /* leave out what is behind nearer boxes at every sample (3.2.7, with depths of this picture: nothing that a sample shows is lost) */
+    const svo_light_mask *shading; /* what is out of the picture or hidden is kept where it can be between what this is of and the light; NULL: it is not */
     double overhang[2];     /* cells reach beyond their box by less than these many times its shortest and its longest side; 0: boxes are drawn as they are */
     bool whole;             /* ignore the size in the picture: down to the finest voxels everywhere */
     double edge;            /* with `whole`: a node whose box is at most so long on every axis (scene units) is taken as it is too; 0: finest voxels alone */
@@ -54,6 +58,10 @@ typedef struct svo_selection {
 /* Does not depend on threads. Of a full leaf only nodes at its surface are taken: what is inside cannot be seen. */
 svo_result svo_select(const svo_scene *scene, const svo_select_options *options, svo_selection *out, svo_error *err);
 void svo_selection_free(svo_selection *s);
+
+/* Of a selection for the same eye, with these overhangs; light: towards it, any length > 0. A few MB. SVO_OUT_OF_MEMORY. */
+svo_result svo_light_mask_make(const svo_selection *seen, svo_vec3 light, const double overhang[2], const svo_allocator *a, svo_light_mask **out, svo_error *err);
+void svo_light_mask_free(svo_light_mask *m);
 
 /* How boxes become samples. BOXES: those whose rays meet the box. MIPMAPS (4.4): texels about half as wide as the box's rectangle, at the box's least depth: a few writes a box however
  * large it looks, and at least the samples of BOXES, at most half a rectangle (and a sample) farther out. */

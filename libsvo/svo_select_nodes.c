@@ -38,8 +38,7 @@ static svoi_sight project(const svoi_selecting *s, const double low[3], const do
     return SVOI_SEEN;
 }
 
-/* Behind the eye there is no picture: what a box of that size would show at its distance. */
-static double size_at_distance(const svoi_selecting *s, const double low[3], const double high[3])
+double svoi_size_at_distance(const svoi_selecting *s, const double low[3], const double high[3])
 {
     double longest = 0, near = 0;
     for (int k = 0; k < 3; k++) {
@@ -229,10 +228,10 @@ svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_vi
     }
     round_outwards(low, high);
     svoi_sight seen = project(s, low, high, &size, place);
-    if (seen != SVOI_SEEN) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
+    if (seen != SVOI_SEEN && !svoi_can_shade(s->o, low, high)) return seen == SVOI_HIDDEN ? SVOI_BEHIND : SVOI_OUTSIDE;
     if (n->level >= p->view->depth) return SVOI_TAKE;
     if (s->o->whole) return high[0] - low[0] <= s->o->edge && high[1] - low[1] <= s->o->edge && high[2] - low[2] <= s->o->edge ? SVOI_TAKE : SVOI_DESCEND;
-    if (size == INFINITY) size = size_at_distance(s, low, high);
+    if (size == INFINITY) size = svoi_size_at_distance(s, low, high);
     return size < s->o->delta ? SVOI_TAKE : SVOI_DESCEND;
 }
 
@@ -291,7 +290,7 @@ static svo_result run_job(const svoi_selecting *s, const svoi_job *j, bool of_pa
     if (s->o->occlusion && !of_page && top != 0) begin_own(s, &stack[0].place.reach, &out->own);
     while (top != 0 && finite) {
         const judged n = stack[--top];
-        if (s->o->occlusion && hides_itself(s, &out->own, &n.place.reach)) {
+        if (s->o->occlusion && hides_itself(s, &out->own, &n.place.reach) && !svoi_can_shade(s->o, n.low, n.high)) {
             out->report.hidden++;
         } else if (n.take) {
             if (!take(s, &p, &n.n, n.low, n.high, &n.place.box, out)) return svoi_select_no_memory(err);
@@ -329,7 +328,8 @@ svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page)
     svoi_place place;
     svoi_page_box(s, page, low, high);
     round_outwards(low, high);
-    return project(s, low, high, &size, &place);
+    const svoi_sight seen = project(s, low, high, &size, &place);
+    return seen != SVOI_SEEN && svoi_can_shade(s->o, low, high) ? SVOI_SEEN : seen;
 }
 
 static svo_result run_page(const svoi_selecting *s, uint32_t page, svoi_output *out, svo_error *err)

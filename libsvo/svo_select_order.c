@@ -67,7 +67,7 @@ static svo_result cut(const svoi_selecting *s, const svoi_job *whole, svo_buffer
         svoi_place place;
         svoi_fate f = svoi_judge(s, &p, &part.top, low, high, &place);
         if (f == SVOI_OUTSIDE || f == SVOI_BEHIND) continue;
-        if (f == SVOI_DESCEND) size = fmax(place.box.x1 - place.box.x0, place.box.y1 - place.box.y0);
+        if (f == SVOI_DESCEND) size = place.box.near > 0 ? fmax(place.box.x1 - place.box.x0, place.box.y1 - place.box.y0) : svoi_size_at_distance(s, low, high);
         if (f == SVOI_DESCEND && size > LARGE && part.top.level + 4u <= p.view->depth) {
             uint32_t count = svoi_children(p.view, &part.top, next);
             while (count != 0) stack[top++] = next[--count];
@@ -88,7 +88,7 @@ static svo_result cut_pages(const svoi_selecting *s, const svoi_job *pages, uint
         double low[3], high[3];
         svoi_page_box(s, pages[n].page, low, high);
         svoi_rect r = svoi_project(&s->look, low, high);
-        double size = fmax(r.x1 - r.x0, r.y1 - r.y0), apart = sqrt((double)g->count);
+        double size = r.near > 0 ? fmax(r.x1 - r.x0, r.y1 - r.y0) : svoi_size_at_distance(s, low, high), apart = sqrt((double)g->count);
         if (size / apart < 24) { /* its instances are small */
             if (svo_buffer_append(to, &pages[n], sizeof pages[n]) == NULL) return svoi_select_no_memory(err);
             continue;

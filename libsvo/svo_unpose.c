@@ -287,6 +287,33 @@ static svo_result make_scene(svo_unposed *u, const svo_scene *s, bool everything
     return SVO_OK;
 }
 
+/* What is seen, and with shadows what can be between that and the light, where that pays: most of a few shapes can shade them. Instances without a pose are not selected, so where there are some
+ * nothing is known of what is seen of them, and all is taken. */
+enum { CROWD = 16 };
+static svo_result select_all(const svo_scene *scene, const svo_unpose_options *o, svo_select_options *select, svo_selection *out, svo_error *err)
+{
+    const bool culling = select->occlusion || select->frustum;
+    if (!o->shadows || !culling) return svo_select(scene, select, out, err);
+    bool all = scene->instance_count < CROWD;
+    for (uint64_t i = 0; i < scene->instance_count && !select->everything && !all; i++) all = is_rigid(scene, i);
+    if (all) {
+        select->occlusion = select->frustum = false;
+        return svo_select(scene, select, out, err);
+    }
+    svo_light_mask *mask;
+    SVO_TRY(svo_select(scene, select, out, err));
+    const double seconds = out->report.seconds;
+    svo_result r = svo_light_mask_make(out, o->light, select->overhang, select->allocator, &mask, err);
+    svo_selection_free(out);
+    if (r != SVO_OK) return r;
+    select->shading = mask;
+    r = svo_select(scene, select, out, err);
+    select->shading = NULL;
+    svo_light_mask_free(mask);
+    if (r == SVO_OK) out->report.seconds += seconds;
+    return r;
+}
+
 svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_unposed **out, svo_unpose_report *report, svo_error *err)
 {
     const svo_allocator *a = o->select.allocator;
@@ -302,7 +329,7 @@ svo_result svo_unpose(const svo_scene *scene, const svo_unpose_options *o, svo_u
         bool emit = o->method == SVO_RESAMPLE_EMIT;
         select.overhang[0] = emit ? 2 : 0, select.overhang[1] = emit ? 0.125 : 1;
     }
-    svo_result result = svo_select(scene, &select, &selection, err);
+    svo_result result = select_all(scene, o, &select, &selection, err);
     if (result != SVO_OK) {
         svo_unposed_free(u);
         return result;

@@ -71,6 +71,10 @@ bool svoi_wanted(const svoi_selecting *s, uint64_t instance);
 /* Bounds of a page relative to the eye, a little wider than they are stored: sines differ in their last bits between machines. */
 void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double high[3]);
 svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page);
+/* Can what is in the box, or in cells made of it, throw a shadow on what is seen (options->shading)? */
+bool svoi_can_shade(const svo_select_options *o, const double low[3], const double high[3]);
+/* Of a box that reaches behind the eye, where there is no picture: samples that one of that size would take at its distance. */
+double svoi_size_at_distance(const svoi_selecting *s, const double low[3], const double high[3]);
 /* The top of an instance. */
 svoi_visit svoi_root_of(const svo_view *v);
 uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8]);

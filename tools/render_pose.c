@@ -184,7 +184,7 @@ static void report_unpose(cli *c, const svo_unpose_report *r, int resample)
     cli_put_f64(o, "seconds_hierarchy", r->hierarchy.seconds_build);
 }
 
-int choose_resample(int asked, bool shadows) { return asked != RESAMPLE_AUTO ? asked : shadows ? RESAMPLE_EMIT : RESAMPLE_DIRECT; }
+int choose_resample(int asked, bool rays) { return asked != RESAMPLE_AUTO ? asked : rays ? RESAMPLE_EMIT : RESAMPLE_DIRECT; }
 
 svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, uint8_t *pixels, svo_render_stats *stats, svo_error *err)
 {
@@ -193,7 +193,8 @@ svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options 
     svo_selection selection;
     uint64_t covered = 0;
     double seconds = 0;
-    if (o->shadows) svo_warn(&c->warnings, "--resample direct and mipmap draw no shadows: there is no octree to trace");
+    if (o->shadows || o->bounce != 0 || o->reflections)
+        svo_warn(&c->warnings, "--resample direct and mipmap draw no shadows, bounces or reflections: there is no octree to trace");
     cli_phase(c, "deform");
     SVO_TRY(svo_select(scene, &select, &selection, err));
     json_t *report = report_selection(c, &selection.report, boxes.mipmap ? RESAMPLE_MIPMAP : RESAMPLE_DIRECT);
@@ -211,7 +212,7 @@ svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options 
 svo_result unpose_scene(posing *p, cli *c, const svo_scene **scene, const svo_select_options *select, const svo_render_options *look, int resample, bool labels, const char *save,
                         svo_error *err)
 {
-    svo_unpose_options o = {.select = *select, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT,
+    svo_unpose_options o = {.select = *select, .shadows = look->shadows, .light = look->light, .method = resample == RESAMPLE_RESIZE ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT,
                             .reflections = look->reflections || save != NULL, .reflectance = look->reflectance, .labels = labels || save != NULL};
     svo_unpose_report r;
     cli_phase(c, "deform");

@@ -31,7 +31,7 @@ void posing_close(posing *p);
 
 /* What --resample auto is: boxes as they are when nothing but the eye asks what is where, else cells that follow them (figure 29, for a renderer without a budget
  * of time). */
-int choose_resample(int asked, bool shadows);
+int choose_resample(int asked, bool rays);
 
 /* The picture of all instances by their boxes (--resample direct). */
 svo_result draw_direct(cli *c, const svo_scene *scene, const svo_render_options *o, direct_boxes boxes, uint8_t *pixels, svo_render_stats *stats, svo_error *err);

@@ -55,7 +55,7 @@ static const cli_option options[] = {
     {"resample", 0, CLI_CHOICE, &ask.resample, "KIND", "How deformed voxels are drawn: cells of an octree of fixed (resize) or growing (emit) number, as boxes (direct), or as boxes by the texels of a mipmap (mipmap).", 0,
      0, resamples, NULL, false, "Deformation"},
     {"delta", 0, CLI_DOUBLE, &ask.delta, "S", "Take deformed nodes that are less than S samples wide.", 1e-3, 1e6, NULL, NULL, false, "Deformation"},
-    {"no-culling", 0, CLI_FLAG, &ask.no_culling, NULL, "Deform what is hidden or out of the picture too, as with shadows: to compare pictures.", 0, 0, NULL, NULL, false, "Deformation"},
+    {"no-culling", 0, CLI_FLAG, &ask.no_culling, NULL, "Deform what is hidden or out of the picture too, whatever it can shade: to compare pictures.", 0, 0, NULL, NULL, false, "Deformation"},
     {"save-svo", 0, CLI_TEXT, &ask.save_svo, "F", "Write the octree of deformed voxels as .svo.", 0, 0, NULL, NULL, true, "Deformation"},
 };
 
@@ -254,7 +254,7 @@ static svo_result find_deforming(cli *c, const svo_scene *scene, svo_render_opti
     if (!has_poses(scene) && !everything && !draws_boxes(ask.resample)) return SVO_OK;
     SVO_TRY(choose_camera(scene, NULL, o, camera, err));
     const bool octree = ask.save_svo != NULL || picture_is_exr(c->output); /* these need more than boxes */
-    d->resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows);
+    d->resample = choose_resample(octree && ask.resample == RESAMPLE_AUTO ? RESAMPLE_EMIT : ask.resample, o->shadows || o->bounce != 0 || o->reflections);
     if (ask.save_svo != NULL && draws_boxes(d->resample)) return svo_fail(err, SVO_INVALID_ARGUMENT, "--resample %s makes no octree for --save-svo", resamples[d->resample]);
     d->scene = scene;
     return SVO_OK;
@@ -274,7 +274,8 @@ static svo_result deform_picture(void *user, const svo_render_options *o, pictur
     deforming *d = user;
     end_picture(d);
     s->scene = d->scene;
-    const bool culling = !o->shadows && !ask.no_culling;
+    /* rays that go anywhere meet anything, and an octree with shadows is kept whole */
+    const bool culling = !ask.no_culling && o->bounce == 0 && !o->reflections && !(o->shadows && ask.save_svo != NULL);
     const svo_select_options select = {.eye = o->eye, .width = o->width * o->samples, .height = o->height * o->samples, .delta = ask.delta, .everything = d->everything,
                                        .frustum = culling, .occlusion = culling, .threads = o->threads, .allocator = o->allocator};
     SVO_TRY(unpose_scene(&d->now, d->c, &s->scene, &select, o, d->resample, picture_is_exr(d->c->output), ask.save_svo, err));

@@ -12,8 +12,8 @@ CAMERAS = {"in a street": ("4,0.3,0.5", "6,0.4,-9"), "from above": ("5,6,3", "5,
 SIZE = ["--size", "240x180", "--fov", 50, "--no-shadows", "--background", "transparent"]
 
 
-def city(folder, side=8):
-    """Houses and trees in rows between roads; three of four are twisted, bent or sheared."""
+def city(folder, side=8, every=False):
+    """Houses and trees in rows between roads; three of four are twisted, bent or sheared; with `every` all of them, roads too."""
     source = model("F_big/kenney_city/building-garage.glb").parent
     shutil.copytree(source, folder / "city", copy_function=shutil.copyfile)
     rng = random.Random(3)
@@ -22,8 +22,8 @@ def city(folder, side=8):
         one = {"asset": rng.choice(BUILDINGS) if x % 4 and z % 4 else "road-straight", "translation": [x, 0, -z], "rotation": [0, 0.70710678, 0, 0.70710678] if rng.random() < 0.5 else [0, 0, 0, 1]}
         poses = ({"twist": {"degrees": rng.uniform(-60, 60)}}, {"bend": {"axis": "y", "towards": "x", "degrees": rng.uniform(-40, 40)}},
                  {"shear": {"xy": rng.uniform(-0.4, 0.4)}, "scale": [1, rng.uniform(0.7, 2), 1]}, None)
-        pose = poses[rng.randrange(4)]
-        if pose and one["asset"] != "road-straight":
+        pose = poses[rng.randrange(3 if every else 4)]
+        if pose and (every or one["asset"] != "road-straight"):
             one["pose"] = pose
         instances.append(one)
     assets = [{"name": n, "file": "city/%s.glb" % n} for n in BUILDINGS + ["road-straight"]]
@@ -69,8 +69,31 @@ def test_cells_of_a_city(folder):
     check(hidden > 10000, hidden)
 
 
-def test_with_shadows_nothing_is_left_out(folder):
-    """What the eye does not see may throw a shadow: --no-culling changes nothing there."""
+def test_shadows_of_what_is_not_seen(folder):
+    """What the eye does not see may throw a shadow; what can't is left out."""
+    scene = city(folder, 8, True)
+    for camera, (eye, target) in {**CAMERAS, "at a corner": ("2,0.15,-1", "6,0.5,-6")}.items():
+        pictures, selected = [], []
+        for i, options in enumerate(((), ("--no-culling",))):
+            run("svo-render", scene, "-o", folder / "o.png", "-f", "-q", "--size", "240x180", "--fov", 50, "--background", "transparent", "--eye", eye, "--target", target, "--report",
+                folder / "r.json", *options)
+            pictures.append(b"".join(bytes(r) for r in read_png(folder / "o.png")[3]))
+            report = json.loads((folder / "r.json").read_text())["deformation"]
+            check(i == 0 or report["nodes_hidden"] + report["nodes_outside"] == 0, report)
+            selected.append(report["selected"])
+        a, b = pictures
+        check(a[3::4] == b[3::4], camera)
+        differ = sum(a[4 * i:4 * i + 4] != b[4 * i:4 * i + 4] for i in range(240 * 180))
+        check(differ <= 10, (camera, differ))
+        check(selected[0] <= selected[1] * (0.3 if camera == "at a corner" else 1), (camera, selected))
+    for more in (("--bounce", 1), ("--reflections",)):
+        run("svo-render", scene, "-o", folder / "o.png", "-f", "-q", "--size", "24x18", "--report", folder / "r.json", "--no-shadows", *more)
+        report = json.loads((folder / "r.json").read_text())["deformation"]
+        check(report["nodes_hidden"] + report["nodes_outside"] == 0, (more, report))
+
+
+def test_with_things_at_rest_nothing_is_left_out(folder):
+    """What is seen of them is not known when the others are selected: --no-culling changes nothing there."""
     scene = city(folder, 5)
     eye, target = CAMERAS["from above"]
     for options in ((), ("--no-culling",)):

@@ -687,6 +687,52 @@ TEST(culling_loses_no_cell_that_is_seen)
     crowd_free(&c);
 }
 
+/* Nor a shadow: from every surface that is seen the light is in the way of the same things. */
+TEST(culling_loses_no_shadow)
+{
+    enum { WIDTH = 160, HEIGHT = 100 };
+    const svo_vec3 lights[] = {{-0.45, 0.85, 0.65}, {1, 0.1, 0.3}, {0.2, 0.3, -1}, {0, 2, 0}};
+    svo_error err = {0};
+    uint64_t blocked[2] = {0, 0}, selected[2] = {0, 0};
+    for (int light = 0; light < 4 && !test_failed(); light++) {
+        svo_unposed *u[2];
+        svo_unpose_report r[2];
+        svo_bvh *bvh[2];
+        crowd c;
+        crowd_make(&c, 10, 16);
+        svo_unpose_options o = {.select = {.width = WIDTH, .height = HEIGHT, .delta = 1}, .method = light % 2 ? SVO_RESAMPLE_RESIZE : SVO_RESAMPLE_EMIT, .shadows = true, .light = lights[light]};
+        CHECK_OK(svo_eye_look(light < 2 ? svo_v3(-30, 40, 60) : svo_v3(50, 6, -60), svo_v3(60, 0, -80), svo_v3(0, 1, 0), 0.9, &o.select.eye, &err));
+        for (int i = 0; i < 2; i++) {
+            o.select.frustum = o.select.occlusion = i > 0;
+            CHECK_OK(svo_unpose(&c.scene, &o, &u[i], &r[i], &err));
+            CHECK_OK(svo_bvh_build(svo_unposed_scene(u[i]), 1, NULL, NULL, &bvh[i], NULL, &err));
+        }
+        svo_render_options ro = svo_default_render_options();
+        ro.width = WIDTH, ro.height = HEIGHT, ro.footprint = 0, ro.eye = o.select.eye;
+        for (uint32_t n = 0; n < WIDTH * HEIGHT && !test_failed(); n++) {
+            svo_scene_ray ray = svo_render_ray(&ro, n % WIDTH + 0.5, n / WIDTH + 0.5);
+            svo_scene_hit hit[2];
+            for (int i = 0; i < 2; i++) svo_scene_trace(bvh[i], &ray, 1, &hit[i]);
+            CHECK(hit[0].node.hit == hit[1].node.hit);
+            if (!hit[0].node.hit) continue;
+            bool dark[2];
+            for (int i = 0; i < 2; i++) {
+                svo_scene_ray to = ray;
+                to.origin = svo_render_shadow_origin(bvh[i], &hit[i], svo_scale(svo_normalize(ray.direction), -1));
+                to.direction = lights[light], to.t_max = INFINITY;
+                dark[i] = svo_scene_blocked(bvh[i], &to);
+            }
+            CHECK_MSG(dark[0] == dark[1], "light %d, sample %u: %d, %d", light, n, dark[0], dark[1]);
+            blocked[dark[0]]++;
+        }
+        for (int i = 0; i < 2; i++) selected[i] += r[i].select.selected;
+        for (int i = 0; i < 2; i++) svo_bvh_free(bvh[i]), svo_unposed_free(u[i]);
+        crowd_free(&c);
+    }
+    CHECK(blocked[0] > 1000 && blocked[1] > 1000);
+    CHECK_MSG(selected[1] < selected[0], "%llu of %llu", (unsigned long long)selected[1], (unsigned long long)selected[0]);
+}
+
 TEST(zero_instances_and_empty_assets)
 {
     svo_error err = {0};
