@@ -59,7 +59,8 @@ typedef struct svo_selection {
 svo_result svo_select(const svo_scene *scene, const svo_select_options *options, svo_selection *out, svo_error *err);
 void svo_selection_free(svo_selection *s);
 
-/* Of a selection for the same eye, with these overhangs; light: towards it, any length > 0. A few MB. SVO_OUT_OF_MEMORY. */
+/* Of a selection for the same eye, with these overhangs (as in the options); light: towards it, any length > 0. The selection is read alone. *out: 1.4 MB, freed by svo_light_mask_free, read by any number of
+ * threads at once. SVO_OUT_OF_MEMORY. */
 svo_result svo_light_mask_make(const svo_selection *seen, svo_vec3 light, const double overhang[2], const svo_allocator *a, svo_light_mask **out, svo_error *err);
 void svo_light_mask_free(svo_light_mask *m);
 

@@ -23,19 +23,6 @@ static void along_axes(const svo_light_mask *m, const double low[3], const doubl
     }
 }
 
-/* How far cells reach beyond a box, and the longer one of that and its longest side: no cell is larger. */
-static double reach_of(const double low[3], const double high[3], const double overhang[2], double *cell)
-{
-    double shortest = INFINITY, longest = 0;
-    for (int k = 0; k < 3; k++) {
-        const double side = high[k] - low[k];
-        shortest = side < shortest ? side : shortest, longest = side > longest ? side : longest;
-    }
-    const double reach = overhang[0] * shortest + overhang[1] * longest;
-    *cell = reach > longest ? reach : longest;
-    return reach;
-}
-
 static uint32_t texel(const svo_light_mask *m, int axis, double x)
 {
     const double t = (x - m->low[axis]) * m->per_texel;
@@ -57,10 +44,10 @@ static span span_of(const svo_light_mask *m, const double from[3], const double 
 enum { EDGES_AROUND = 16 };
 static void receiver(const svo_light_mask *m, const svo_selected *b, const double overhang[2], double from[3], double to[3])
 {
-    double low[3], high[3], cell;
+    double low[3], high[3], longest;
     for (int k = 0; k < 3; k++) low[k] = b->low[k], high[k] = b->high[k];
-    const double reach = reach_of(low, high, overhang, &cell);
-    along_axes(m, low, high, reach + EDGES_AROUND * cell, from, to);
+    const double reach = svoi_overhang(overhang, low, high, &longest), edge = reach > longest ? reach : longest; /* no cell of the box has a longer one */
+    along_axes(m, low, high, reach + EDGES_AROUND * edge, from, to);
 }
 
 svo_result svo_light_mask_make(const svo_selection *seen, svo_vec3 light, const double overhang[2], const svo_allocator *a, svo_light_mask **out, svo_error *err)
@@ -124,9 +111,9 @@ void svo_light_mask_free(svo_light_mask *m)
 bool svoi_can_shade(const svo_select_options *o, const double low[3], const double high[3])
 {
     const svo_light_mask *m = o->shading;
-    double from[3], to[3], cell;
+    double from[3], to[3], longest;
     if (m == NULL) return false;
-    along_axes(m, low, high, reach_of(low, high, o->overhang, &cell), from, to);
+    along_axes(m, low, high, svoi_overhang(o->overhang, low, high, &longest), from, to);
     /* all of it beside what is seen? */
     for (int k = 0; k < 2; k++)
         if ((to[k] - m->low[k]) * m->per_texel < 0 || (from[k] - m->low[k]) * m->per_texel > SIDE) return false;

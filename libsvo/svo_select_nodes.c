@@ -15,19 +15,26 @@ static bool is_hidden(const svoi_selecting *s, const svoi_rect *r)
     return svoi_depth_hides(&s->depth, &samples, r->near * (1 - 1e-6));
 }
 
+double svoi_overhang(const double overhang[2], const double low[3], const double high[3], double *longest)
+{
+    double shortest = INFINITY;
+    *longest = 0;
+    for (int k = 0; k < 3; k++) {
+        const double side = high[k] - low[k];
+        shortest = side < shortest ? side : shortest, *longest = side > *longest ? side : *longest;
+    }
+    return overhang[0] * shortest + overhang[1] * *longest;
+}
+
 /* *size is the longer side of its rectangle in samples (3.2.3), infinite for a box that reaches behind the eye's plane. What is out of sight or hidden is so with all that the cells made of it
  * can cover. */
 static svoi_sight project(const svoi_selecting *s, const double low[3], const double high[3], double *size, svoi_place *place)
 {
     svoi_rect r = place->box = svoi_project(&s->look, low, high);
-    double shortest = INFINITY, longest = 0, l[3], h[3];
+    double longest, l[3], h[3];
     *size = r.x1 - r.x0 > r.y1 - r.y0 ? r.x1 - r.x0 : r.y1 - r.y0;
     if (s->o->overhang[0] > 0 || s->o->overhang[1] > 0) {
-        for (int k = 0; k < 3; k++) {
-            const double side = high[k] - low[k];
-            shortest = side < shortest ? side : shortest, longest = side > longest ? side : longest;
-        }
-        const double over = s->o->overhang[0] * shortest + s->o->overhang[1] * longest;
+        const double over = svoi_overhang(s->o->overhang, low, high, &longest);
         for (int k = 0; k < 3; k++) l[k] = low[k] - over, h[k] = high[k] + over;
         low = l, high = h;
         r = svoi_project(&s->look, l, h);
@@ -276,7 +283,7 @@ static bool push(const svoi_selecting *s, const svoi_posed *p, const svoi_visit 
     return true;
 }
 
-/* From near to far, so that what is near hides what is behind it. own: of a whole page, made ready; else it is the job's. */
+/* From near to far, so that what is near hides what is behind it. of_page: the thread's own depths are those of a whole page and stay; else they begin with this job. */
 static svo_result run_job(const svoi_selecting *s, const svoi_job *j, bool of_page, svoi_output *out, svo_error *err)
 {
     svoi_posed p = svoi_posed_make(s, j->page, j->instance);

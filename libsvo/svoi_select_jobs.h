@@ -71,6 +71,8 @@ bool svoi_wanted(const svoi_selecting *s, uint64_t instance);
 /* Bounds of a page relative to the eye, a little wider than they are stored: sines differ in their last bits between machines. */
 void svoi_page_box(const svoi_selecting *s, uint32_t page, double low[3], double high[3]);
 svoi_sight svoi_see_page(const svoi_selecting *s, uint32_t page);
+/* How far cells reach beyond a box, scene units (options->overhang); *longest: its longest side. */
+double svoi_overhang(const double overhang[2], const double low[3], const double high[3], double *longest);
 /* Can what is in the box, or in cells made of it, throw a shadow on what is seen (options->shading)? */
 bool svoi_can_shade(const svo_select_options *o, const double low[3], const double high[3]);
 /* Of a box that reaches behind the eye, where there is no picture: samples that one of that size would take at its distance. */
@@ -78,8 +80,9 @@ double svoi_size_at_distance(const svoi_selecting *s, const double low[3], const
 /* The top of an instance. */
 svoi_visit svoi_root_of(const svo_view *v);
 uint32_t svoi_children(const svo_view *v, const svoi_visit *n, svoi_visit out[8]);
-/* Deform a node and say what is to be done with it. low and high are its box unless it overflows; *place, where it is not outside, where that is in the picture. */
-typedef struct svoi_place { svoi_rect box, reach; } svoi_place; /* reach: of all that cells made of the box can cover */
+/* Where a box is in the picture, and all that cells made of it can cover. */
+typedef struct svoi_place { svoi_rect box, reach; } svoi_place;
+/* Deform a node and say what is to be done with it. low and high are its box unless it overflows; *place, where it is not outside, where that is. */
 svoi_fate svoi_judge(const svoi_selecting *s, const svoi_posed *p, const svoi_visit *n, double low[3], double high[3], svoi_place *place);
 /* A svo_range_fn over s->jobs, for svo_parallel_for. */
 svo_result svoi_run_jobs(void *selecting, uint64_t begin, uint64_t end, uint32_t worker, svo_error *err);

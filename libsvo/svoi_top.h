@@ -16,7 +16,7 @@
 #include "svoi_best.h"
 
 enum { SVOI_TOP_CELLS = 1 << 16, SVOI_RECORDS = 1 << 19, SVOI_RECORD_SHIFT = 8 }; /* at most */
-enum { SVOI_RECORD_BITS = 26, SVOI_RECORD_MORE = 2 }; /* of a bit position: beside a turn, and apart from it */
+enum { SVOI_RECORD_BITS = 26, SVOI_RECORD_MORE = 2 }; /* of a bit position: beside a turn, and apart from it (four bits would fit, but buckets grow with the tree) */
 enum { SVOI_TOP_SHARE = 6 }; /* more cells where there are no records: one for each 64 bytes of the tree */
 
 typedef struct svoi_top_node {
